@@ -1,0 +1,69 @@
+# hiersched: everything a reader needs, from a fresh clone with Python, make and git.
+#
+#   make paper              every figure and table of the paper
+#   make test               the tests
+#   make VENV=/tmp/v test   the same in another virtual environment
+#   make PYTHON=python3.12  another interpreter
+
+PYTHON ?= python3
+VENV ?= .venv
+CORES ?= 2
+PIP_ARGS ?=
+
+STAMP := $(VENV)/.installed
+BIN := $(abspath $(VENV))/bin
+# Rules of the workflow call `python`: that has to be the one of the environment.
+# One thread per process: the workflow runs jobs side by side, and the bits of a
+# matrix product depend on the number of threads.
+RUN := env PATH="$(BIN):$$PATH" OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 PYTHONHASHSEED=0
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help install paper smoke test lint format bench clean distclean
+
+help:  ## list the targets
+	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+install: $(STAMP)  ## create the virtual environment (the other targets do it when needed)
+
+$(STAMP): constraints.txt pyproject.toml
+	@command -v "$(PYTHON)" >/dev/null 2>&1 || { \
+	  echo "hiersched needs Python 3.11 or newer, and '$(PYTHON)' was not found: make PYTHON=/path/to/python" >&2; exit 1; }
+	@"$(PYTHON)" -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "hiersched needs Python 3.11 or newer, and '$(PYTHON)' is $$("$(PYTHON)" -V 2>&1): make PYTHON=/path/to/python" >&2; exit 1; }
+	@test -x "$(VENV)/bin/python" || "$(PYTHON)" -m venv "$(VENV)"
+	"$(VENV)/bin/python" -m pip install --quiet $(PIP_ARGS) -c constraints.txt -e '.[dev]'
+	@touch "$@"
+
+paper: $(STAMP)  ## every figure and table of the paper (results/paper)
+	$(RUN) snakemake --cores $(CORES) --config scenarios='[paper]'
+	@echo "Figures: results/paper/figures    tables: results/paper/tables"
+
+smoke: $(STAMP)  ## the same pipeline, small enough for a few minutes (results/smoke)
+	$(RUN) snakemake --cores $(CORES) --config scenarios='[smoke]'
+	@echo "Figures: results/smoke/figures    tables: results/smoke/tables"
+
+test: $(STAMP)  ## the tests
+	$(RUN) python -m pytest
+
+lint: $(STAMP)  ## style, types, import directions, workflow format
+	$(RUN) ruff check .
+	$(RUN) ruff format --check .
+	$(RUN) mypy
+	$(RUN) lint-imports
+	$(RUN) snakefmt --check Snakefile workflow
+
+format: $(STAMP)  ## let the formatters have their way
+	$(RUN) ruff check --fix-only --quiet .
+	$(RUN) ruff format .
+	$(RUN) snakefmt Snakefile workflow
+
+bench: $(STAMP)  ## speed of the simulator, the allocators, the learners and the log
+	$(RUN) python benchmarks/run.py
+
+clean:  ## remove caches and build leftovers (results/ and the environment stay)
+	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .benchmarks
+	find src tests workflow benchmarks -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
+
+distclean: clean  ## remove the environment and the results too
+	rm -rf "$(VENV)" results .snakemake
