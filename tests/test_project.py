@@ -1,0 +1,189 @@
+"""What the project promises about itself: units, pins, targets, light imports, small files."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+import yaml
+
+HEAVY = ("torch", "cvxpy", "matplotlib", "pandas", "control", "snakemake")
+MAX_FILE_BYTES = 1024 * 1024
+
+# "name: value  # [unit] paper: why" or "… assumed: why"
+KEY_WITH_VALUE = re.compile(r"^\s*[A-Za-z_][\w-]*:\s+(?!#)\S")
+UNIT_AND_ORIGIN = re.compile(r"#\s*\[[^\]]+\]\s*(paper|assumed)\b\s*:?\s*\S*")
+
+
+def unexplained_keys(text: str) -> list[str]:
+    """The lines that set a value without saying its unit and where it comes from."""
+    return [
+        f"{number}: {line.strip()}"
+        for number, line in enumerate(text.splitlines(), start=1)
+        if KEY_WITH_VALUE.match(line) and not UNIT_AND_ORIGIN.search(line)
+    ]
+
+
+def make_targets(makefile: str) -> set[str]:
+    """Names before a colon at the start of a line, without variables and special targets."""
+    return set(re.findall(r"^([a-z][\w-]*):(?!=)", makefile, flags=re.MULTILINE))
+
+
+def pins(constraints: str) -> dict[str, str]:
+    """Package name in its normal form -> version."""
+    found = {}
+    for line in constraints.splitlines():
+        if line.strip() and not line.startswith("#"):
+            name, separator, version = line.partition("==")
+            assert separator, f"not a pin: {line!r}"
+            found[re.sub(r"[-_.]+", "-", name).lower()] = version
+    return found
+
+
+def tracked_files(root: Path) -> list[Path]:
+    """The files that git tracks; skips where there is no repository."""
+    listing = subprocess.run(
+        ["git", "ls-files", "-z"], cwd=root, capture_output=True, text=True, check=False
+    )
+    if listing.returncode != 0:
+        pytest.skip("not a git checkout")
+    return [root / name for name in listing.stdout.split("\0") if name]
+
+
+@pytest.mark.parametrize(
+    ("line", "accepted"),
+    [
+        ("slot_s: 0.01  # [s] assumed: 1 Mbit/s is one packet a slot", True),
+        ("  num_prb: 25  # [1] paper: Table I", True),
+        ("radio:", True),
+        ("# a remark: with a colon", True),
+        ("slot_s: 0.01", False),
+        ("slot_s: 0.01  # [s]", False),
+        ("slot_s: 0.01  # assumed", False),
+    ],
+)
+def test_key_checker_knows_a_good_line(line: str, accepted: bool) -> None:
+    assert (unexplained_keys(line) == []) is accepted
+
+
+def test_every_default_has_unit_and_origin(project_root: Path) -> None:
+    text = (project_root / "config" / "defaults.yaml").read_text(encoding="utf-8")
+    assert unexplained_keys(text) == []
+
+
+def test_numbers_in_yaml_are_numbers(project_root: Path) -> None:
+    """PyYAML reads 1e-3 as text: a number that arrives as a string is a typing error."""
+
+    def strings(node: object) -> list[str]:
+        if isinstance(node, dict):
+            return [text for value in node.values() for text in strings(value)]
+        if isinstance(node, list):
+            return [text for value in node for text in strings(value)]
+        return [node] if isinstance(node, str) else []
+
+    files = sorted((project_root / "config").rglob("*.yaml"))
+    assert files
+    for file in files:
+        for text in strings(yaml.safe_load(file.read_text(encoding="utf-8"))):
+            with pytest.raises(ValueError, match="could not convert"):
+                float(text)
+
+
+def test_makefile_has_the_promised_targets(project_root: Path) -> None:
+    targets = make_targets((project_root / "Makefile").read_text(encoding="utf-8"))
+    assert {"paper", "smoke", "test", "lint", "bench", "clean", "help"} <= targets
+
+
+@pytest.mark.parametrize("document", ["README.md", "docs/paper_notes.md"])
+def test_documents_keep_their_promises(project_root: Path, document: str) -> None:
+    """Every `make target` in a document exists, and so does every relative link."""
+    path = project_root / document
+    text = path.read_text(encoding="utf-8")
+    targets = make_targets((project_root / "Makefile").read_text(encoding="utf-8"))
+    assert set(re.findall(r"(?:^|`)make ([a-z]+)\b", text, flags=re.MULTILINE)) <= targets
+    links = [
+        link.partition("#")[0]
+        for link in re.findall(r"\]\(([^)\s]+)\)", text)
+        if not link.startswith(("http://", "https://", "#"))
+    ]
+    assert [link for link in links if not (path.parent / link).exists()] == []
+
+
+def test_readme_names_every_figure(project_root: Path) -> None:
+    text = (project_root / "README.md").read_text(encoding="utf-8")
+    expected = (
+        "fig2_rewards fig3_queues fig4_rate_cdf fig5_rayleigh fig6_sampling fig7_dexterity "
+        "fig8_violations figX_load table1_parameters table2_gain table3_rate policies"
+    )
+    assert [name for name in expected.split() if f"`{name}`" not in text] == []
+
+
+def test_environment_is_pinned(project_root: Path) -> None:
+    text = (project_root / "constraints.txt").read_text(encoding="utf-8")
+    pinned = pins(text)
+    assert pinned["torch"] == "2.13.0"
+    # Local versions, folders and indexes hold on one machine only.
+    assert not re.search(r"\+|/|^-|@", re.sub(r"^#.*$", "", text, flags=re.MULTILINE), re.MULTILINE)
+    assert [name for name in pinned if name.startswith(("nvidia", "triton", "cuda"))] == []
+
+
+def test_every_requirement_is_pinned(project_root: Path) -> None:
+    project = tomllib.loads((project_root / "pyproject.toml").read_text(encoding="utf-8"))[
+        "project"
+    ]
+    required = [*project["dependencies"]]
+    for extra in project["optional-dependencies"].values():
+        required += extra
+    names = {
+        re.sub(r"[-_.]+", "-", re.split(r"[^\w.-]", requirement)[0]).lower()
+        for requirement in required
+    }
+    pinned = pins((project_root / "constraints.txt").read_text(encoding="utf-8"))
+    assert names - pinned.keys() == set()
+
+
+def test_no_tracked_file_is_large(project_root: Path) -> None:
+    large = [
+        f"{file.relative_to(project_root)}: {file.stat().st_size} bytes"
+        for file in tracked_files(project_root)
+        if file.is_file() and file.stat().st_size > MAX_FILE_BYTES
+    ]
+    assert large == []
+
+
+def test_nothing_generated_is_tracked(project_root: Path) -> None:
+    generated = {"results", ".snakemake", "__pycache__", ".venv"}
+    inside = [
+        str(file.relative_to(project_root))
+        for file in tracked_files(project_root)
+        if generated & set(file.relative_to(project_root).parts)
+    ]
+    assert inside == []
+
+
+def test_import_is_light() -> None:
+    """What `import hiersched` costs is paid by every command and every job."""
+    code = "import sys, hiersched; print(*sorted(m for m in sys.modules if '.' not in m))"
+    loaded = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    ).stdout.split()
+    assert "hiersched" in loaded
+    assert [name for name in HEAVY if name in loaded] == []
+
+
+def test_version_is_the_same_everywhere(project_root: Path) -> None:
+    project = tomllib.loads((project_root / "pyproject.toml").read_text(encoding="utf-8"))[
+        "project"
+    ]
+    citation = yaml.safe_load((project_root / "CITATION.cff").read_text(encoding="utf-8"))
+    assert str(citation["version"]) == project["version"]
+
+
+def test_changelog_says_what_changes_results(project_root: Path) -> None:
+    text = (project_root / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert "## [Unreleased]" in text
+    assert "### Changes results" in text
