@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 import yaml
@@ -42,6 +43,12 @@ def pins(constraints: str) -> dict[str, str]:
             assert separator, f"not a pin: {line!r}"
             found[re.sub(r"[-_.]+", "-", name).lower()] = version
     return found
+
+
+def project_table(root: Path) -> dict[str, Any]:
+    """The [project] table of pyproject.toml."""
+    table: dict[str, Any] = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))
+    return table["project"]
 
 
 def tracked_files(root: Path) -> list[Path]:
