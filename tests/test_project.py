@@ -92,12 +92,22 @@ def test_numbers_in_yaml_are_numbers(project_root: Path) -> None:
             return [text for value in node for text in strings(value)]
         return [node] if isinstance(node, str) else []
 
+    def is_number(text: str) -> bool:
+        try:
+            float(text)
+        except ValueError:
+            return False
+        return True
+
     files = sorted((project_root / "config").rglob("*.yaml"))
     assert files
-    for file in files:
-        for text in strings(yaml.safe_load(file.read_text(encoding="utf-8"))):
-            with pytest.raises(ValueError, match="could not convert"):
-                float(text)
+    quoted = [
+        f"{file.name}: {text}"
+        for file in files
+        for text in strings(yaml.safe_load(file.read_text(encoding="utf-8")))
+        if is_number(text)
+    ]
+    assert quoted == []
 
 
 def test_makefile_has_the_promised_targets(project_root: Path) -> None:
