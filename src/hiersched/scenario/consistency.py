@@ -1,0 +1,125 @@
+"""Checks across keys: what no single range can say."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hiersched.scenario.schema import Scenario
+
+
+def inconsistencies(scenario: Scenario) -> list[str]:
+    """Every fault between keys, as ``key = value: what is allowed``; empty when there is none."""
+    return [
+        *_users(scenario),
+        *_times(scenario),
+        *_learning(scenario),
+        *_studies(scenario),
+    ]
+
+
+def _users(scenario: Scenario) -> list[str]:
+    faults = []
+    users, radio, traffic = scenario.users, scenario.radio, scenario.traffic
+    if scenario.num_users > radio.num_prb:
+        faults.append(
+            f"users.num_urllc + users.num_embb = {scenario.num_users}: at most radio.num_prb = "
+            f"{radio.num_prb}, since every user gets one PRB or more"
+        )
+    for key, value, count in (
+        ("traffic.urllc_offered_mbps", traffic.urllc_offered_mbps, users.num_urllc),
+        ("traffic.embb_offered_mbps", traffic.embb_offered_mbps, users.num_embb),
+    ):
+        if isinstance(value, Sequence) and len(value) != count:
+            faults.append(f"{key} = {list(value)}: {len(value)} numbers, must be one number or {count}")
+    if radio.min_distance_m >= radio.cell_radius_m:
+        faults.append(
+            f"radio.min_distance_m = {radio.min_distance_m}: must be below radio.cell_radius_m = "
+            f"{radio.cell_radius_m}"
+        )
+    return faults
+
+
+def _is_multiple(value: float, unit: float) -> bool:
+    ratio = value / unit
+    return ratio > 0.5 and abs(ratio - round(ratio)) < 1e-9
+
+
+def _times(scenario: Scenario) -> list[str]:
+    substep = scenario.robot.substep_s
+    faults = [
+        f"{key} = {value}: must be a multiple of robot.substep_s = {substep}"
+        for key, value in (
+            ("radio.slot_s", scenario.radio.slot_s),
+            ("control.sampling_s", scenario.control.sampling_s),
+            *(("sweeps.sampling_s", value) for value in scenario.sweeps.sampling_s),
+        )
+        if not _is_multiple(value, substep)
+    ]
+    if not _is_multiple(scenario.robot.window_s, scenario.radio.slot_s):
+        faults.append(
+            f"robot.window_s = {scenario.robot.window_s}: must be a multiple of radio.slot_s = "
+            f"{scenario.radio.slot_s}"
+        )
+    if not _is_multiple(scenario.robot.window_s, scenario.control.sampling_s):
+        faults.append(
+            f"robot.window_s = {scenario.robot.window_s}: must be a multiple of control.sampling_s = "
+            f"{scenario.control.sampling_s}"
+        )
+    if scenario.control.method == "razumikhin" and scenario.control.plant == "network":
+        faults.append(
+            "control.method = 'razumikhin': needs control.plant = 'split' (a plant with an eigenvalue on the "
+            "unit circle whose whole feedback is delayed has no Razumikhin certificate)"
+        )
+    return faults
+
+
+def _learning(scenario: Scenario) -> list[str]:
+    learning = scenario.learning
+    faults = []
+    if learning.episodes % learning.num_envs and learning.episodes < learning.num_envs:
+        faults.append(
+            f"learning.num_envs = {learning.num_envs}: at most learning.episodes = {learning.episodes}"
+        )
+    if learning.batch_size > learning.replay_capacity:
+        faults.append(
+            f"learning.batch_size = {learning.batch_size}: at most learning.replay_capacity = "
+            f"{learning.replay_capacity}"
+        )
+    return faults
+
+
+def _studies(scenario: Scenario) -> list[str]:
+    faults = []
+    held_out = {
+        "evaluate.seeds": scenario.evaluate.seeds,
+        "sweeps.seeds": scenario.sweeps.seeds,
+        "gain_study.seeds": scenario.gain_study.seeds,
+        "learning.seeds": scenario.learning.seeds,
+    }
+    for key, seeds in held_out.items():
+        if len(set(seeds)) != len(seeds):
+            faults.append(f"{key} = {list(seeds)}: every seed once")
+    study = scenario.gain_study
+    faults.extend(
+        f"gain_study.violation_windows = {window}: at most gain_study.num_windows = {study.num_windows}"
+        for window in study.violation_windows
+        if window > study.num_windows
+    )
+    for key, (low, high) in (
+        ("gain_study.violation_delay_s", study.violation_delay_s),
+        ("gain_study.calm_delay_s", study.calm_delay_s),
+    ):
+        if low > high:
+            faults.append(f"{key} = [{low}, {high}]: the lower bound first")
+    for section, policies in (
+        ("evaluate", scenario.evaluate.policies),
+        ("sweeps", scenario.sweeps.policies),
+    ):
+        faults.extend(
+            f"{section}.{key} = {value}: must be a multiple of radio.slot_s = {scenario.radio.slot_s}"
+            for key, value in (("duration_s", getattr(scenario, section).duration_s),)
+            if not _is_multiple(value, scenario.radio.slot_s)
+        )
+        if len(set(policies)) != len(policies):
+            faults.append(f"{section}.policies = {list(policies)}: every policy once")
+    return faults

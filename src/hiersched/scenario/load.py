@@ -1,0 +1,238 @@
+"""Read a scenario: defaults, overlay, validation; the only place that reads YAML."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import TypeAdapter, ValidationError
+
+from hiersched.scenario.consistency import inconsistencies
+from hiersched.scenario.schema import Scenario
+
+CONFIG = Path("config")
+_KEY_LINE = re.compile(r"^(\s*)([a-z_0-9]+):\s*([^#]*?)\s*(?:#\s*\[([^\]]+)\]\s*(paper|assumed)(?::\s*(.*))?)?$")
+
+
+class ScenarioError(ValueError):
+    """A scenario that cannot be run: the message names file, key, value and what is allowed."""
+
+
+class _UniqueKeyLoader(yaml.SafeLoader):
+    """PyYAML keeps the last of two equal keys in silence; this loader refuses them."""
+
+
+def _unique_mapping(loader: _UniqueKeyLoader, node: yaml.MappingNode) -> dict[Any, Any]:
+    seen = set()
+    for key_node, _ in node.value:
+        key = loader.construct_object(key_node)  # type: ignore[no-untyped-call]
+        if key in seen:
+            raise yaml.constructor.ConstructorError(
+                None, None, f"the key {key!r} stands twice", key_node.start_mark
+            )
+        seen.add(key)
+    return loader.construct_mapping(node, deep=True)
+
+
+_UniqueKeyLoader.add_constructor(yaml.resolver.BaseResolver.DEFAULT_MAPPING_TAG, _unique_mapping)
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"{path}: cannot be read: {error}") from error
+    try:
+        data = yaml.load(text, Loader=_UniqueKeyLoader)
+    except yaml.YAMLError as error:
+        raise ScenarioError(f"{path}: not valid YAML: {error}") from error
+    if data is None:
+        return {}
+    if not isinstance(data, dict):
+        raise ScenarioError(f"{path}: a scenario is a mapping of sections, not {type(data).__name__}")
+    return data
+
+
+def _merge(base: Mapping[str, Any], overlay: Mapping[str, Any]) -> dict[str, Any]:
+    merged = dict(base)
+    for key, value in overlay.items():
+        old = merged.get(key)
+        merged[key] = _merge(old, value) if isinstance(old, dict) and isinstance(value, dict) else value
+    return merged
+
+
+def _holds(data: Any, location: tuple[str | int, ...]) -> bool:
+    for part in location:
+        if isinstance(data, Mapping) and part in data:
+            data = data[part]
+        elif isinstance(data, list) and isinstance(part, int) and part < len(data):
+            data = data[part]
+        else:
+            return False
+    return True
+
+
+def _value_at(data: Any, location: tuple[str | int, ...]) -> Any:
+    for part in location:
+        data = data[part]
+    return data
+
+
+def _describe(
+    error: ValidationError, merged: Mapping[str, Any], overlay: Mapping[str, Any], names: tuple[Path, Path]
+) -> str:
+    lines = []
+    for item in error.errors():
+        # Branches of a union append their own name to the location: cut back to what stands in the file.
+        location = item["loc"]
+        while location and not _holds(merged, location) and item["type"] != "missing":
+            location = location[:-1]
+        path, defaults = names
+        source = path if _holds(overlay, location) or item["type"] == "missing" else defaults
+        key = ".".join(str(part) for part in location)
+        if item["type"] == "missing":
+            lines.append(f"{source}: {key}: missing")
+            continue
+        value = _value_at(merged, location)
+        message = item["msg"].replace("Input should be", "must be")
+        if item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+            section = location[0] if len(location) > 1 else None
+            message = f"unknown key; allowed: {', '.join(_allowed_keys(section))}"
+        elif isinstance(value, str) and re.fullmatch(r"[-+]?\d+(\.\d*)?[eE]-?\d+", value):
+            message += " (YAML reads a number such as 1e-3 as text: write 1.0e-3)"
+        lines.append(f"{source}: {key} = {value!r}: {message}")
+    return "\n".join(dict.fromkeys(lines))
+
+
+def _allowed_keys(section: str | int | None) -> list[str]:
+    if section is None:
+        return [field.name for field in fields(Scenario)]
+    return list(_KEYS_OF_SECTION.get(str(section), ()))
+
+
+def _keys_of_sections() -> dict[str, tuple[str, ...]]:
+    from typing import get_type_hints
+
+    hints = get_type_hints(Scenario)
+    return {
+        name: tuple(field.name for field in fields(hint))
+        for name, hint in hints.items()
+        if hasattr(hint, "__dataclass_fields__")
+    }
+
+
+_KEYS_OF_SECTION = _keys_of_sections()
+
+
+def find_scenario(name_or_path: str | Path) -> Path:
+    """Path of a scenario given by name (in config/scenarios) or by path.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such file; the message lists the scenarios that exist.
+    """
+    path = Path(name_or_path)
+    if path.suffix in (".yaml", ".yml") or path.exists():
+        if not path.is_file():
+            raise ScenarioError(f"{path}: no such file")
+        return path
+    candidate = CONFIG / "scenarios" / f"{name_or_path}.yaml"
+    if not candidate.is_file():
+        known = sorted(p.stem for p in (CONFIG / "scenarios").glob("*.yaml"))
+        raise ScenarioError(f"{candidate}: no such scenario; there are: {', '.join(known) or 'none'}")
+    return candidate
+
+
+def load_scenario(name_or_path: str | Path, *, defaults: Path | None = None) -> Scenario:
+    """Load, merge and validate a scenario.
+
+    Parameters
+    ----------
+    name_or_path
+        Name of a file in ``config/scenarios`` or path of an overlay (or of a resolved scenario).
+    defaults
+        The file with every key; ``config/defaults.yaml`` unless given.
+
+    Raises
+    ------
+    ScenarioError
+        On an unreadable file, an unknown or missing key, a wrong type, a value out of range, or values
+        that do not fit each other; every fault is listed with file, key, value and what is allowed.
+    """
+    path = find_scenario(name_or_path)
+    defaults = defaults if defaults is not None else CONFIG / "defaults.yaml"
+    overlay = _read_yaml(path)
+    merged = _merge(_read_yaml(defaults), overlay)
+    merged.setdefault("name", path.stem)
+    try:
+        text = json.dumps(merged)
+    except (TypeError, ValueError) as error:
+        raise ScenarioError(f"{path}: a value is neither number, text, list nor mapping: {error}") from error
+    try:
+        scenario = TypeAdapter(Scenario).validate_json(text, strict=True)
+    except ValidationError as error:
+        raise ScenarioError(_describe(error, merged, overlay, (path, defaults))) from error
+    faults = inconsistencies(scenario)
+    if faults:
+        raise ScenarioError("\n".join(f"{path}: {fault}" for fault in faults))
+    return scenario
+
+
+def scenario_to_dict(scenario: Scenario) -> dict[str, Any]:
+    """Plain mapping of a scenario: numbers, text, lists and mappings only."""
+    result: dict[str, Any] = json.loads(json.dumps(asdict(scenario)))
+    return result
+
+
+def scenario_to_yaml(scenario: Scenario) -> str:
+    """The resolved scenario as YAML text that `load_scenario` reads back to the same scenario."""
+    return yaml.safe_dump(scenario_to_dict(scenario), sort_keys=False, width=100)
+
+
+def scenario_sha256(scenario: Scenario) -> str:
+    """Hash of the canonical JSON of a scenario."""
+    text = json.dumps(scenario_to_dict(scenario), sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParameterNote:
+    """What `config/defaults.yaml` says of one key: dotted key, unit, paper or assumed, meaning."""
+
+    key: str
+    unit: str
+    origin: str
+    meaning: str
+
+
+def parameter_notes(defaults: Path | None = None) -> list[ParameterNote]:
+    """Unit, origin and meaning of every key, from the comments of the defaults file.
+
+    Raises
+    ------
+    ScenarioError
+        If a key has no comment of the form ``# [unit] paper|assumed: meaning``.
+    """
+    path = defaults if defaults is not None else CONFIG / "defaults.yaml"
+    notes: list[ParameterNote] = []
+    section = ""
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+        match = _KEY_LINE.match(line)
+        if match is None:
+            continue
+        indent, key, value, unit, origin, meaning = match.groups()
+        if not indent and not value:
+            section = key
+            continue
+        if unit is None:
+            raise ScenarioError(f"{path}: line {number}: {key} lacks its comment '# [unit] paper|assumed: …'")
+        dotted = f"{section}.{key}" if indent else key
+        notes.append(ParameterNote(key=dotted, unit=unit, origin=origin, meaning=meaning or ""))
+    return notes

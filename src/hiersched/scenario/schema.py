@@ -1,0 +1,248 @@
+"""The parameters of a scenario as frozen dataclasses; `config/defaults.yaml` documents every key."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from pydantic import ConfigDict, Field
+
+_STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Share = Annotated[float, Field(gt=0, lt=1)]
+Count = Annotated[int, Field(ge=1)]
+Seed = Annotated[int, Field(ge=0, lt=2**31)]
+Reference = Literal["straight", "arc", "figure_eight", "zigzag"]
+PolicyName = Literal[
+    "ddpg",
+    "pf",
+    "pf_average",
+    "round_robin",
+    "max_rate",
+    "max_weight",
+    "m_lwdf",
+    "exp_pf",
+    "log_rule",
+    "edf",
+    "drift_plus_penalty",
+]
+NonEmpty = Field(min_length=1)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Users:
+    """How many users each slice has."""
+
+    __pydantic_config__ = _STRICT
+    num_urllc: Count
+    num_embb: Count
+
+
+@dataclass(frozen=True, kw_only=True)
+class Radio:
+    """The cell's resource blocks, link budget and fading."""
+
+    __pydantic_config__ = _STRICT
+    slot_s: Positive
+    bandwidth_hz: Positive
+    num_prb: Annotated[int, Field(ge=1, le=512)]
+    tx_power_dbm: float
+    noise_dbm: float
+    rayleigh_scale: Positive
+    path_loss: Literal["none", "macro"]
+    cell_radius_m: Positive
+    min_distance_m: Positive
+    shadowing_db: NonNegative
+
+
+@dataclass(frozen=True, kw_only=True)
+class Traffic:
+    """Arrivals, service, deadlines."""
+
+    __pydantic_config__ = _STRICT
+    packet_bits: Positive
+    batch_packets: Count
+    load: Positive
+    urllc_offered_mbps: Positive | Annotated[tuple[Positive, ...], NonEmpty]
+    embb_offered_mbps: Positive | Annotated[tuple[Positive, ...], NonEmpty]
+    reference_rate_mbps: NonNegative
+    rate_sensitivity: Annotated[float, Field(ge=0, lt=1)]
+    service_coefficient_mbps: NonNegative
+    deadline_s: Positive
+    application_delay_s: NonNegative | None
+    embb_deadline_s: Positive
+    reliability: Share
+    embb_reliability: Share
+    reliability_levels: Annotated[tuple[Share, ...], NonEmpty]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Objective:
+    """Drift-plus-penalty objective, delay constraint and its multiplier."""
+
+    __pydantic_config__ = _STRICT
+    penalty_weight: NonNegative
+    epsilon: Positive
+    delay_exponent: Positive
+    constraint: Literal["surrogate", "measured"]
+    multiplier_step: NonNegative
+    multiplier_proportional: NonNegative
+    multiplier_max: NonNegative
+
+
+@dataclass(frozen=True, kw_only=True)
+class Schedulers:
+    """Constants of the classical schedulers."""
+
+    __pydantic_config__ = _STRICT
+    average_window_slots: Annotated[float, Field(ge=1)]
+    log_rule_offset: Annotated[float, Field(ge=1)]
+    log_rule_gain: Positive
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robot:
+    """The teleoperated robots and their world."""
+
+    __pydantic_config__ = _STRICT
+    reference: Reference
+    speed_mps: Positive
+    actuator_lag_s: Positive
+    substep_s: Annotated[float, Field(gt=0, le=0.0025)]
+    max_speed_mps: Positive
+    max_turn_rate_radps: Positive
+    slip_speed_mps: NonNegative
+    slip_turn_rate_radps: NonNegative
+    slip_time_s: Positive
+    noise_position_m: NonNegative
+    noise_heading_rad: NonNegative
+    core_latency_s: NonNegative
+    window_s: Positive
+
+
+@dataclass(frozen=True, kw_only=True)
+class Control:
+    """The lower level: sampling, weights and how gains are adjusted to the delay."""
+
+    __pydantic_config__ = _STRICT
+    sampling_s: Positive
+    weight: Positive
+    max_delay_s: Positive
+    plant: Literal["network", "split"]
+    operator_share: Annotated[float, Field(gt=0, le=1)]
+    method: Literal["krasovskii", "razumikhin"]
+    decay_rate: Annotated[float, Field(ge=0, lt=1)]
+    gain: Literal["adjusted", "nominal"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Learning:
+    """The two agents and how they are trained."""
+
+    __pydantic_config__ = _STRICT
+    algorithm: Literal["ddpg"]
+    network: Literal["shared"]
+    reward: Literal["cooperative", "independent"]
+    seeds: Annotated[tuple[Seed, ...], NonEmpty]
+    episodes: Count
+    slots_per_episode: Count
+    num_envs: Count
+    hidden: Annotated[tuple[Count, ...], NonEmpty]
+    weight_exponent: Positive
+    reward_scale: Positive
+    discount: Annotated[float, Field(ge=0, lt=1)]
+    batch_size: Count
+    replay_capacity: Count
+    warmup_slots: Annotated[int, Field(ge=0)]
+    actor_lr: Positive
+    critic_lr: Positive
+    target_rate: Annotated[float, Field(gt=0, le=1)]
+    exploration_std: NonNegative
+    exploration_final_std: NonNegative
+    gradient_clip: Positive
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evaluation:
+    """Held-out worlds in which every policy is run."""
+
+    __pydantic_config__ = _STRICT
+    seeds: Annotated[tuple[Seed, ...], NonEmpty]
+    duration_s: Positive
+    policies: Annotated[tuple[PolicyName, ...], NonEmpty]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sweeps:
+    """One axis varied at a time."""
+
+    __pydantic_config__ = _STRICT
+    seeds: Annotated[tuple[Seed, ...], NonEmpty]
+    duration_s: Positive
+    policies: Annotated[tuple[PolicyName, ...], NonEmpty]
+    rayleigh_scale: Annotated[tuple[Positive, ...], NonEmpty]
+    sampling_s: Annotated[tuple[Positive, ...], NonEmpty]
+    reference: Annotated[tuple[Reference, ...], NonEmpty]
+    load: Annotated[tuple[Positive, ...], NonEmpty]
+
+
+@dataclass(frozen=True, kw_only=True)
+class GainStudy:
+    """Table II: forced delays in chosen windows, nominal against adjusted gain."""
+
+    __pydantic_config__ = _STRICT
+    seeds: Annotated[tuple[Seed, ...], NonEmpty]
+    num_robots: Count
+    num_windows: Count
+    violation_windows: Annotated[tuple[Count, ...], NonEmpty]
+    violation_delay_s: tuple[Positive, Positive]
+    calm_delay_s: tuple[Positive, Positive]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Log:
+    """What the MCAP files carry and how they are packed."""
+
+    __pydantic_config__ = _STRICT
+    compression: Literal["zstd", "none"]
+    chunk_bytes: Annotated[int, Field(ge=4096)]
+    train_profile: Literal["full", "compact"]
+    evaluate_profile: Literal["full", "compact"]
+    sweep_profile: Literal["full", "compact"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """Everything that a run depends on; nothing is read from YAML later."""
+
+    __pydantic_config__ = _STRICT
+    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")]
+    users: Users
+    radio: Radio
+    traffic: Traffic
+    objective: Objective
+    schedulers: Schedulers
+    robot: Robot
+    control: Control
+    learning: Learning
+    evaluate: Evaluation
+    sweeps: Sweeps
+    gain_study: GainStudy
+    log: Log
+
+    @property
+    def num_users(self) -> int:
+        """Users of both slices, URLLC first."""
+        return self.users.num_urllc + self.users.num_embb
+
+    @property
+    def max_delay_steps(self) -> int:
+        """T_max, the largest delay that a gain is designed for, in control samples."""
+        return delay_steps(self.control.max_delay_s, self.control.sampling_s)
+
+
+def delay_steps(delay_s: float, sampling_s: float) -> int:
+    """Delay in whole control samples, ceil(D/h); a ratio within 1e-9 of an integer is that integer."""
+    return int(-(-(delay_s / sampling_s - 1e-9) // 1))
