@@ -1,0 +1,156 @@
+"""Speed of the log: our writer and reader against the stock ones of the mcap package.
+
+    python benchmarks/bench_log.py [slots]
+
+Speeds are slots per CPU-second, medians of rounds in which the contenders take turns; the
+ratios mean more than the speeds.
+"""
+
+from __future__ import annotations
+
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message_factory import GetMessageClass
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+from mcap_protobuf.decoder import DecoderFactory
+
+from hiersched.log import TOPICS, LogDims, LogReader, LogWriter
+from hiersched.log.schema import descriptor_set
+
+DIMS = LogDims(num_urllc=10, num_embb=10, num_prb=25)
+SLOT_NS = 10_000_000
+BLOCK = 256
+ROUNDS = 5
+INTEGERS = {"prb_owner": 20, "num_prb": 3, "arrivals_packets": 30, "due_packets": 30}
+
+
+def random_fields(slots: int, dims: LogDims = DIMS, seed: int = 0) -> dict[str, Any]:
+    """All fields of the `full` profile: integers as small as in a run, mantissas random."""
+    rng = np.random.default_rng(seed)
+    fields: dict[str, Any] = {}
+    for topic in TOPICS.values():
+        for field in topic.fields[1:]:
+            shape = (slots, *field.concrete_shape(dims))
+            if field.dtype == "<u4":
+                top = INTEGERS.get(field.name, 2)
+                fields[field.name] = rng.integers(0, top, shape, dtype=np.uint32)
+            else:
+                fields[field.name] = rng.exponential(size=shape).astype(field.dtype)
+    return fields
+
+
+def write_ours(path: Path, fields: dict[str, Any], compression: str) -> None:
+    slots = len(fields["prb_owner"])
+    with LogWriter(path, DIMS, slot_ns=SLOT_NS, compression=compression) as log:
+        for start in range(0, slots, BLOCK):
+            block = {name: array[start : start + BLOCK] for name, array in fields.items()}
+            log.write_block(start, block)
+
+
+def message_classes() -> dict[str, Any]:
+    pool = DescriptorPool()
+    for file in FileDescriptorSet.FromString(descriptor_set("hiersched.Channel")).file:
+        pool.Add(file)
+    return {t.name: GetMessageClass(pool.FindMessageTypeByName(t.message)) for t in TOPICS.values()}
+
+
+def write_stock(path: Path, fields: dict[str, Any], compression: str) -> None:
+    slots = len(fields["prb_owner"])
+    kind = CompressionType.ZSTD if compression == "zstd" else CompressionType.NONE
+    classes = message_classes()
+    with path.open("wb") as stream:
+        writer = Writer(stream, compression=kind, enable_data_crcs=True)
+        writer.start(library="stock")
+        ids = {}
+        for topic in TOPICS.values():
+            schema = writer.register_schema(
+                topic.message, "protobuf", descriptor_set(topic.message)
+            )
+            ids[topic.name] = writer.register_channel(topic.name, "protobuf", schema)
+        for slot in range(slots):
+            for topic in TOPICS.values():
+                message = classes[topic.name](slot=slot)
+                for field in topic.fields[1:]:
+                    values = fields[field.name][slot]
+                    if field.shape:
+                        getattr(message, field.name).extend(values.ravel().tolist())
+                    else:
+                        setattr(message, field.name, float(values))
+                writer.add_message(
+                    ids[topic.name], slot * SLOT_NS, message.SerializeToString(),
+                    slot * SLOT_NS, slot,
+                )  # fmt: skip
+        writer.finish()
+
+
+def read_ours(path: Path) -> None:
+    with LogReader(path) as log:
+        for topic in log.topics:
+            log.read(topic)
+
+
+def read_stock(path: Path) -> None:
+    columns: dict[str, list[Any]] = {}
+    with path.open("rb") as stream:
+        reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        for _, channel, _, message in reader.iter_decoded_messages(log_time_order=False):
+            for field in TOPICS[channel.topic].fields:
+                columns.setdefault(field.name, []).append(np.array(getattr(message, field.name)))
+    for column in columns.values():
+        np.stack(column)
+
+
+def cpu_seconds(work: Callable[[], None]) -> float:
+    start = time.process_time()
+    work()
+    return time.process_time() - start
+
+
+def run(slots: int = 20_000) -> dict[str, float]:
+    """Print a table and return slots per CPU-second by contender."""
+    fields = random_fields(slots)
+    few = slots // 20
+    short = {name: array[:few] for name, array in fields.items()}
+    speeds: dict[str, list[float]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        ours, stock = Path(folder, "ours.mcap"), Path(folder, "stock.mcap")
+        for _ in range(ROUNDS):
+            for packing in ("zstd", "none"):
+                contenders: list[tuple[str, int, Callable[[], None]]] = [
+                    ("write", slots, lambda p=packing: write_ours(ours, fields, p)),
+                    ("read", slots, lambda: read_ours(ours)),
+                    ("stock write", few, lambda p=packing: write_stock(stock, short, p)),
+                    ("stock read", few, lambda: read_stock(stock)),
+                ]
+                for name, count, work in contenders:
+                    if "write" in name:  # replacing a file makes ext4 flush the new one
+                        (stock if "stock" in name else ours).unlink(missing_ok=True)
+                    seconds = cpu_seconds(work)
+                    speeds.setdefault(f"{name} {packing}", []).append(count / seconds)
+                size = ours.stat().st_size / slots
+                speeds.setdefault(f"bytes {packing}", []).append(size)
+    result = {name: statistics.median(values) for name, values in speeds.items()}
+    print(f"log, {slots} slots of 20 users, 25 PRBs, 10 robots, profile full")
+    for packing in ("zstd", "none"):
+        for what in ("write", "read"):
+            ours_speed = result[f"{what} {packing}"]
+            ratio = ours_speed / result[f"stock {what} {packing}"]
+            print(
+                f"  {what:5} {packing:4} {ours_speed:10,.0f} slots/s  {ratio:6.1f} x stock  "
+                f"{result[f'bytes {packing}']:6.0f} B/slot"
+            )
+    return result
+
+
+if __name__ == "__main__":
+    run(*map(int, sys.argv[1:2]))

@@ -1,0 +1,213 @@
+"""What the log contains: topics and fields.
+
+The table `TOPICS` mirrors ``hiersched.proto``. All fields have a fixed size once the numbers of
+users, robots and PRBs are known.
+
+The compiled schemas lie beside the ``.proto`` files. After a change, in this directory::
+
+    python -m grpc_tools.protoc -I . --include_imports --descriptor_set_out=hiersched.binpb \
+        hiersched.proto
+    python -m grpc_tools.protoc -I . --include_imports --descriptor_set_out=foxglove/Log.binpb \
+        foxglove/Log.proto
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from types import MappingProxyType
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+SCHEMA_VERSION = 1
+LIBRARY = f"hiersched-log/{SCHEMA_VERSION}"  # fixed: a version of NumPy or mcap would change bytes
+METADATA_NAME = "hiersched"
+EVENTS_TOPIC = "/events"
+EVENTS_SCHEMA = "foxglove.Log"
+
+Profile = Literal["full", "compact"]
+PROFILES: tuple[str, ...] = get_args(Profile)
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogDims:
+    """Dimensions that fix the size of every message.
+
+    Parameters
+    ----------
+    num_urllc, num_embb
+        Numbers of users of each slice; every URLLC user drives one robot.
+    num_prb
+        Number of physical resource blocks.
+    """
+
+    num_urllc: int
+    num_embb: int
+    num_prb: int
+
+    def __post_init__(self) -> None:
+        for name, least in (("num_urllc", 0), ("num_embb", 0), ("num_prb", 1)):
+            if getattr(self, name) < least:
+                raise ValueError(f"{name} is {getattr(self, name)}; allowed: at least {least}")
+        if self.num_urllc + self.num_embb < 1:
+            raise ValueError("num_urllc + num_embb is 0; allowed: at least 1 user")
+
+    @property
+    def sizes(self) -> dict[str, int]:
+        """Sizes by the letters that the table of fields uses: U users, R robots, K PRBs."""
+        return {"U": self.num_urllc + self.num_embb, "R": self.num_urllc, "K": self.num_prb}
+
+
+@dataclass(frozen=True)
+class Field:
+    """One protobuf field of fixed size.
+
+    Parameters
+    ----------
+    name, number
+        As in ``hiersched.proto``.
+    dtype
+        Little-endian NumPy type: ``<f8`` double, ``<f4`` float, ``<u4`` fixed32, ``<u8`` fixed64.
+    shape
+        Of one slot's value, in U, R, K and numbers; ``()`` is a scalar, all else is packed.
+    full_only
+        Left out of the ``compact`` profile.
+    """
+
+    name: str
+    number: int
+    dtype: str
+    shape: tuple[str | int, ...]
+    full_only: bool = False
+
+    def concrete_shape(self, dims: LogDims) -> tuple[int, ...]:
+        """Shape of one slot's value for given dimensions."""
+        return tuple(dims.sizes[n] if isinstance(n, str) else n for n in self.shape)
+
+    def prefix(self, dims: LogDims) -> bytes:
+        """Protobuf tag, and for packed fields the length in bytes, that precede the value."""
+        itemsize = np.dtype(self.dtype).itemsize
+        if self.shape == ():
+            return _varint(self.number << 3 | (1 if itemsize == 8 else 5))
+        nbytes = itemsize * int(np.prod(self.concrete_shape(dims)))
+        return _varint(self.number << 3 | 2) + _varint(nbytes)
+
+
+@dataclass(frozen=True)
+class Topic:
+    """A topic: its MCAP name, its protobuf message and its fields (`slot` first)."""
+
+    name: str
+    message: str
+    fields: tuple[Field, ...]
+    full_only: bool = False
+
+    def fields_in(self, profile: str) -> tuple[Field, ...]:
+        """Fields that a profile contains; empty when it leaves the topic out."""
+        if profile not in PROFILES:
+            raise ValueError(f"profile is {profile!r}; allowed: {', '.join(PROFILES)}")
+        if profile == "full":
+            return self.fields
+        return () if self.full_only else tuple(f for f in self.fields if not f.full_only)
+
+
+def _topic(name: str, *fields: tuple[Any, ...], full_only: bool = False) -> tuple[str, Topic]:
+    """Entry of the table: fields are numbered in order, after `slot` = 1."""
+    numbered = [Field("slot", 1, "<u8", ())]
+    numbered += [Field(f[0], i, *f[1:]) for i, f in enumerate(fields, start=2)]
+    message = "hiersched." + name.removeprefix("/").capitalize()
+    return name, Topic(name, message, tuple(numbered), full_only)
+
+
+TOPICS: Mapping[str, Topic] = MappingProxyType(
+    dict(
+        [
+            _topic(
+                "/channel",
+                ("fading_power", "<f4", ("U", "K"), True),
+                ("mean_fading_power", "<f4", ("U",)),
+            ),
+            _topic(
+                "/world",
+                ("arrival_uniform", "<f8", ("U",)),
+                ("robot_normal", "<f4", ("R", 5)),
+                full_only=True,
+            ),
+            _topic(
+                "/allocation",
+                ("prb_owner", "<u4", ("K",)),
+                ("num_prb", "<u4", ("U",)),
+                ("rate_mbps", "<f8", ("U",)),
+                ("weight", "<f4", ("U",)),
+            ),
+            _topic(
+                "/queue",
+                ("backlog_packets", "<f8", ("U",)),
+                ("arrivals_packets", "<u4", ("U",)),
+                ("service_packets", "<f8", ("U",)),
+                ("average_rate_mbps", "<f8", ("U",)),
+            ),
+            _topic(
+                "/delay",
+                ("hol_delay_s", "<f8", ("U",)),
+                ("delay_s", "<f8", ("U",)),
+                ("due_packets", "<u4", ("U",)),
+                ("late_packets", "<u4", ("U",)),
+                ("arrival_clamped", "<u4", ("U",)),
+                ("multiplier", "<f8", ()),
+                ("drift_urllc", "<f8", ()),
+                ("drift_embb", "<f8", ()),
+                ("penalty_urllc", "<f8", ()),
+                ("penalty_embb", "<f8", ()),
+                ("constraint", "<f8", ()),
+                ("reward_urllc", "<f8", ()),
+                ("reward_embb", "<f8", ()),
+            ),
+            _topic(
+                "/robots",
+                ("network_delay_s", "<f8", ("R",)),
+                ("delay_steps", "<u4", ("R",)),
+                ("delay_capped", "<u4", ("R",)),
+                ("gain_delay_steps", "<u4", ("R",)),
+                ("state", "<f8", ("R", 5)),
+                ("reference", "<f8", ("R", 5)),
+                ("control", "<f8", ("R", 2)),
+                ("control_saturated", "<u4", ("R",)),
+                ("tracking_error_m", "<f8", ("R",)),
+                ("dexterity_index", "<f8", ("R",)),
+            ),
+        ]
+    )
+)
+
+
+def channel_ids(profile: str) -> dict[str, int]:
+    """MCAP channel (and schema) id of each topic that a profile contains, `/events` last."""
+    names = [name for name, topic in TOPICS.items() if topic.fields_in(profile)]
+    return {name: i for i, name in enumerate([*names, EVENTS_TOPIC], start=1)}
+
+
+@cache
+def descriptor_set(message: str) -> bytes:
+    """Return the serialised FileDescriptorSet that describes a message, dependencies included."""
+    name = "foxglove/Log.binpb" if message == EVENTS_SCHEMA else "hiersched.binpb"
+    return files(__package__).joinpath(name).read_bytes()
+
+
+@cache
+def proto_source() -> bytes:
+    """Return the text of ``hiersched.proto``, which every log carries as an attachment."""
+    return files(__package__).joinpath("hiersched.proto").read_bytes()
+
+
+def _varint(value: int) -> bytes:
+    """Protobuf's base-128 encoding of a non-negative integer."""
+    out = bytearray()
+    while value > 0x7F:
+        out.append(value & 0x7F | 0x80)
+        value >>= 7
+    out.append(value)
+    return bytes(out)

@@ -1,0 +1,87 @@
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
+from grpc_tools import protoc
+
+import hiersched.log
+from hiersched.log import TOPICS, LogDims
+from hiersched.log.schema import (
+    EVENTS_SCHEMA,
+    EVENTS_TOPIC,
+    SCHEMA_VERSION,
+    channel_ids,
+    descriptor_set,
+    proto_source,
+)
+
+FOLDER = Path(hiersched.log.__file__).parent
+NUMPY_TYPES = {
+    FieldDescriptorProto.TYPE_DOUBLE: "<f8",
+    FieldDescriptorProto.TYPE_FLOAT: "<f4",
+    FieldDescriptorProto.TYPE_FIXED32: "<u4",
+    FieldDescriptorProto.TYPE_FIXED64: "<u8",
+}
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [("hiersched.proto", "hiersched.Channel"), ("foxglove/Log.proto", EVENTS_SCHEMA)],
+)
+def test_compiled_schema_is_what_protoc_makes_of_the_source(
+    source: str, message: str, tmp_path: Path
+) -> None:
+    out = tmp_path / "set.binpb"
+    wellknown = Path(protoc.__file__).parent / "_proto"
+    arguments = ["", f"-I{FOLDER}", f"-I{wellknown}", "--include_imports"]
+    assert protoc.main([*arguments, f"--descriptor_set_out={out}", source]) == 0
+    fresh = FileDescriptorSet.FromString(out.read_bytes())
+    assert fresh == FileDescriptorSet.FromString(descriptor_set(message))
+
+
+def test_topics_table_is_the_protobuf_schema() -> None:
+    (file,) = FileDescriptorSet.FromString(descriptor_set("hiersched.Channel")).file
+    compiled = {
+        f"{file.package}.{message.name}": [
+            (f.name, f.number, NUMPY_TYPES[f.type], f.label == f.LABEL_REPEATED)
+            for f in message.field
+        ]
+        for message in file.message_type
+    }
+    table = {
+        topic.message: [(f.name, f.number, f.dtype, f.shape != ()) for f in topic.fields]
+        for topic in TOPICS.values()
+    }
+    assert table == compiled
+
+
+def test_field_names_are_unique_over_all_topics() -> None:
+    names = [field.name for topic in TOPICS.values() for field in topic.fields[1:]]
+    assert len(names) == len(set(names))
+
+
+def test_proto_source_names_the_schema_version() -> None:
+    assert re.search(rb"Schema version (\d+)", proto_source())[1] == str(SCHEMA_VERSION).encode()
+
+
+def test_compact_profile_leaves_out_what_the_streams_regenerate() -> None:
+    assert set(channel_ids("full")) == {*TOPICS, EVENTS_TOPIC}
+    assert set(channel_ids("full")) - set(channel_ids("compact")) == {"/world"}
+    left_out = {
+        field.name
+        for topic in TOPICS.values()
+        for field in set(topic.fields) - set(topic.fields_in("compact"))
+    }
+    assert left_out == {"slot", "fading_power", "arrival_uniform", "robot_normal"}
+
+
+@pytest.mark.parametrize(
+    ("sizes", "name"),
+    [((-1, 2, 3), "num_urllc"), ((1, -2, 3), "num_embb"), ((1, 2, 0), "num_prb"), ((0, 0, 3), "1")],
+)
+def test_dimensions_are_checked(sizes: tuple[int, int, int], name: str) -> None:
+    with pytest.raises(ValueError, match=name):
+        LogDims(num_urllc=sizes[0], num_embb=sizes[1], num_prb=sizes[2])
