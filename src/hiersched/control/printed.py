@@ -1,0 +1,119 @@
+"""The matrix inequality as the paper prints it, and why it can never hold.
+
+For tests and documentation only: no gain is computed from it. Write F = [A, A_d, B Y], 3n wide.
+The printed matrix is M = F^T P F + diag(-(1-a) P, (g-1) A_d^T P A_d, -P), asked to be negative
+definite. A - B K does not appear in it, Y = K P makes it cubic in (P, K), and
+
+- if P is positive definite, (0, x_d, 0) gives g x_d^T A_d^T P A_d x_d >= 0;
+- if P is singular with P v = 0, (0, 0, v) gives (B Y v)^T P (B Y v) >= 0 once P >= 0;
+- if P has p negative eigenvalues, then on {(x, 0, w): x, w in their eigenspace}, of dimension
+  2p, the diagonal part is positive definite and F^T P F has at most p negative directions, so M
+  is positive somewhere.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from hiersched.control.checks import (
+    FloatArray,
+    as_delay_steps,
+    as_matrix,
+    as_square,
+    as_symmetric,
+)
+
+
+def printed_inequality(
+    A: npt.ArrayLike,
+    A_d: npt.ArrayLike,
+    B: npt.ArrayLike,
+    K: npt.ArrayLike,
+    P: npt.ArrayLike,
+    decay_rate: float,
+    delay_steps: int,
+) -> FloatArray:
+    """Return the matrix that the paper asks to be negative definite, entry by entry.
+
+    Parameters
+    ----------
+    A, A_d : array_like, shape (n, n)
+        State matrix and delayed matrix.
+    B : array_like, shape (n, m)
+        Input matrix.
+    K : array_like, shape (m, n)
+        Gain; the paper's Y = K P.
+    P : array_like, shape (n, n)
+        Symmetric matrix of V = x^T P x.
+    decay_rate : float
+        The paper's alpha, in [0, 1).
+    delay_steps : int
+        The paper's T_d in gamma = 1 + alpha T_d.
+
+    Returns
+    -------
+    ndarray, shape (3n, 3n)
+        The printed matrix.
+
+    Raises
+    ------
+    ValueError
+        If a matrix or a number is malformed.
+    """
+    A = as_square("A", A)
+    n = A.shape[0]
+    A_d, B = as_square("A_d", A_d, n), as_matrix("B", B, (n, None))
+    K, P = as_matrix("K", K, (B.shape[1], n)), as_symmetric("P", P, n)
+    if not 0.0 <= decay_rate < 1.0:
+        raise ValueError(f"decay_rate is {decay_rate!r}; it must lie in [0, 1)")
+    gamma = 1.0 + decay_rate * as_delay_steps("delay_steps", delay_steps)
+    B_Y = B @ (K @ P)
+    return np.block(
+        [
+            [A.T @ P @ A - P + decay_rate * P, A.T @ P @ A_d, A.T @ P @ B_Y],
+            [A_d.T @ P @ A, gamma * A_d.T @ P @ A_d, A_d.T @ P @ B_Y],
+            [B_Y.T @ P @ A, B_Y.T @ P @ A_d, B_Y.T @ P @ B_Y - P],
+        ]
+    )
+
+
+def violating_direction(matrix: npt.ArrayLike, P: npt.ArrayLike) -> FloatArray:
+    """Return a direction v in which the printed matrix M is not negative: v^T M v >= 0.
+
+    Built from the argument at the top of this module, not from the spectrum of M.
+
+    Parameters
+    ----------
+    matrix : array_like, shape (3n, 3n)
+        M from `printed_inequality`.
+    P : array_like, shape (n, n)
+        The P it was made with.
+
+    Returns
+    -------
+    ndarray, shape (3n,)
+        A unit vector; v^T M v is at least 0 up to rounding.
+
+    Raises
+    ------
+    ValueError
+        If a matrix is malformed.
+    """
+    P = as_symmetric("P", P)
+    n = P.shape[0]
+    M = as_symmetric("matrix", matrix, 3 * n)
+    eigenvalues, vectors = np.linalg.eigh(P)
+    tiny = n * np.finfo(float).eps * float(np.abs(eigenvalues).max())
+    negative = vectors[:, eigenvalues < -tiny]
+    if negative.shape[1]:
+        zero = np.zeros_like(negative)
+        subspace = np.block([[negative, zero], [zero, zero], [zero, negative]])
+        restricted = np.linalg.eigh(subspace.T @ M @ subspace)
+        return np.asarray(subspace @ restricted.eigenvectors[:, -1], dtype=np.float64)
+    direction = np.zeros(3 * n)
+    if abs(eigenvalues[0]) <= tiny:
+        direction[2 * n :] = vectors[:, 0]
+    else:
+        direction[n] = 1.0
+    return direction

@@ -1,0 +1,109 @@
+"""Linear error model of a unicycle that follows a reference, and its exact discretisation."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import expm
+
+FloatArray = npt.NDArray[np.float64]
+
+STATE_NAMES = ("e_x", "e_y", "e_theta", "dv", "dw")
+"""Order of the error state: positions in m, heading in rad, speed in m/s, turn rate in rad/s."""
+
+
+def unicycle_error_model(
+    speed_mps: float, turn_rate_radps: float, actuator_lag_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """Linearise the unicycle's tracking error about a reference, with first-order actuators.
+
+    The error is expressed in the reference frame; the commands are corrections to the
+    reference speed and turn rate that act through a lag::
+
+        e_x'  = dv + w_r e_y        dv' = (u_v - dv) / lag
+        e_y'  = v_r e_theta - w_r e_x        dw' = (u_w - dw) / lag
+        e_theta' = dw
+
+    Parameters
+    ----------
+    speed_mps : float
+        Reference speed v_r in m/s.
+    turn_rate_radps : float
+        Reference turn rate w_r in rad/s.
+    actuator_lag_s : float
+        Time constant of both actuators in s, greater than 0.
+
+    Returns
+    -------
+    A_c : ndarray, shape (5, 5)
+        Continuous state matrix of x = (e_x, e_y, e_theta, dv, dw).
+    B_c : ndarray, shape (5, 2)
+        Continuous input matrix of u = (u_v, u_w).
+
+    Raises
+    ------
+    ValueError
+        If a value is not finite, or the lag is not positive.
+    """
+    for name, value in (("speed_mps", speed_mps), ("turn_rate_radps", turn_rate_radps)):
+        if not math.isfinite(value):
+            raise ValueError(f"{name} is {value!r}; it must be finite")
+    _require_positive("actuator_lag_s", actuator_lag_s)
+    A_c = np.zeros((5, 5))
+    A_c[0, 1], A_c[0, 3] = turn_rate_radps, 1.0
+    A_c[1, 0], A_c[1, 2] = -turn_rate_radps, speed_mps
+    A_c[2, 4] = 1.0
+    A_c[3, 3] = A_c[4, 4] = -1.0 / actuator_lag_s
+    B_c = np.zeros((5, 2))
+    B_c[3, 0] = B_c[4, 1] = 1.0 / actuator_lag_s
+    return A_c, B_c
+
+
+def discretise(
+    A_c: npt.ArrayLike, B_c: npt.ArrayLike, sampling_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """Discretise a linear system exactly under a zero-order hold.
+
+    Parameters
+    ----------
+    A_c : array_like, shape (n, n)
+        Continuous state matrix, in 1/s.
+    B_c : array_like, shape (n, m)
+        Continuous input matrix, in 1/s.
+    sampling_s : float
+        Sampling interval in s, greater than 0.
+
+    Returns
+    -------
+    A : ndarray, shape (n, n)
+        exp(A_c h).
+    B : ndarray, shape (n, m)
+        The integral of exp(A_c s) B_c over one interval. Both are blocks of the exponential
+        of [[A_c, B_c], [0, 0]] h (Van Loan), which also holds for a singular A_c.
+
+    Raises
+    ------
+    ValueError
+        If shapes do not fit, an entry is not finite, or the interval is not positive.
+    """
+    state, inputs = np.asarray(A_c, dtype=np.float64), np.asarray(B_c, dtype=np.float64)
+    if state.ndim != 2 or state.shape[0] != state.shape[1]:
+        raise ValueError(f"A_c has shape {state.shape}; it must be square (n, n)")
+    if inputs.ndim != 2 or inputs.shape[0] != state.shape[0]:
+        raise ValueError(f"B_c has shape {inputs.shape}; it must be ({state.shape[0]}, m)")
+    for name, matrix in (("A_c", state), ("B_c", inputs)):
+        if not np.isfinite(matrix).all():
+            raise ValueError(f"{name} has entries that are not finite")
+    _require_positive("sampling_s", sampling_s)
+    n, m = inputs.shape
+    block = np.zeros((n + m, n + m))
+    block[:n, :n], block[:n, n:] = state, inputs
+    transition = np.asarray(expm(block * sampling_s), dtype=np.float64)
+    return transition[:n, :n].copy(), transition[:n, n:].copy()
+
+
+def _require_positive(name: str, value: float) -> None:
+    if not (math.isfinite(value) and value > 0.0):
+        raise ValueError(f"{name} is {value!r}; it must be finite and greater than 0")

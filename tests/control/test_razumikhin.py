@@ -1,0 +1,146 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hiersched.control import DelayedPlant, certify, spectral_radius_by_delay
+from hiersched.control.razumikhin import analyse, analyse_delay_dependent, razumikhin_gamma
+from hiersched.control.razumikhin_synthesis import RazumikhinSynthesis
+
+
+@given(st.floats(0.001, 0.5), st.integers(0, 40))
+def test_gamma_exceeds_its_first_order_truncation(rate, steps):
+    assert razumikhin_gamma(rate, steps) >= (1 + rate * steps) * (1 - 1e-12)
+
+
+@pytest.mark.parametrize(
+    ("rate", "steps", "promised", "actual"),
+    [
+        (0.05, 5, 0.950, 0.9545),
+        (0.1, 10, 0.900, 0.9275),
+        (0.2, 5, 0.800, 0.8500),
+        (0.2, 20, 0.800, 0.9111),
+    ],
+)
+def test_the_truncated_gamma_does_not_certify_the_rate(rate, steps, promised, actual):
+    """Tight scalar loops a + d sqrt(g) = sqrt(1 - rate): with 1 + a T the loop is slower."""
+    a = 0.5 * np.sqrt(1 - rate)
+    for gamma, slow in ((1 + rate * steps, True), (razumikhin_gamma(rate, steps), False)):
+        d = (np.sqrt(1 - rate) - a) / np.sqrt(gamma)
+        decay = spectral_radius_by_delay([[a]], [[d]], steps)[-1] ** 2
+        assert (decay > promised + 1e-6) == slow
+    # The reference values hold for the slowest such loop, a -> 0.
+    d = np.sqrt((1 - rate) / (1 + rate * steps))
+    slowest = max(
+        spectral_radius_by_delay([[a]], [[d * (1 - a / np.sqrt(1 - rate))]], steps)[-1] ** 2
+        for a in np.linspace(0, np.sqrt(1 - rate), 200)
+    )
+    assert slowest >= actual - 5e-4
+
+
+def test_certified_loops_survive_every_delay_and_keep_the_rate(simulate):
+    """Random systems that C1 certifies: constant and varying delays, V decays as promised."""
+    rng = np.random.default_rng(1)
+    rate, T, certified = 0.02, 4, 0
+    for _ in range(15):
+        n = int(rng.integers(1, 4))
+        A_c, A_d = rng.standard_normal((n, n)), rng.standard_normal((n, n))
+        A_c *= rng.uniform(0.3, 0.9) / np.abs(np.linalg.eigvals(A_c)).max()
+        A_d *= rng.uniform(0.05, 0.4) / np.linalg.norm(A_d, 2)
+        witness = analyse(A_c, A_d, T, rate)
+        certificate = certify(A_c, A_d, T, witness)
+        if not certificate.certified:
+            continue
+        certified += 1
+        assert certificate.spectral_radii.max() <= np.sqrt(1 - rate) + 1e-9
+        for _ in range(5):
+            x0 = rng.standard_normal(n)
+            states = simulate(A_c, A_d, rng.integers(0, T + 1, 80), x0)
+            V = np.einsum("ki,ij,kj->k", states, witness.P, states)
+            assert (V <= V[0] * (1 - rate) ** np.arange(81) * (1 + 1e-9)).all()
+    assert certified >= 5
+
+
+@pytest.mark.parametrize(
+    ("share", "largest_rate"), [(0.1, 0.0650), (0.2, 0.0378), (0.3, 0.0135), (0.4, None)]
+)
+def test_largest_rate_of_the_split_plant(make_split_plant, share, largest_rate):
+    plant = make_split_plant(100.0, share)
+    loop = plant.closed_loop(plant.nominal_gain)
+
+    def certified(rate):
+        return certify(*loop, 5, analyse(*loop, 5, rate)).certified
+
+    if largest_rate is None:
+        assert not certified(1e-4)
+    else:
+        assert certified(largest_rate - 5e-4)
+        assert not certified(largest_rate + 5e-4)
+
+
+def test_c2_on_fridmans_example(fridman):
+    assert certify(*fridman, 8, analyse_delay_dependent(*fridman, 8)).certified
+    assert not certify(*fridman, 9, analyse_delay_dependent(*fridman, 9)).certified
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("share", "longest"), [(0.5, 10), (0.7, 7), (1.0, 5)])
+def test_c2_longest_delay_of_the_split_plant(make_split_plant, share, longest):
+    plant = make_split_plant(100.0, share)
+    loop = plant.closed_loop(plant.nominal_gain)
+    for steps, expected in ((longest, True), (longest + 1, False)):
+        witness = analyse_delay_dependent(*loop, steps)
+        assert certify(*loop, steps, witness).certified == expected
+
+
+def _double_integrator():
+    A, B = np.array([[1.0, 0.02], [0.0, 1.0]]), np.array([[0.0002], [0.02]])
+    K = np.array([[9.467, 5.282]])
+    return DelayedPlant(
+        A=A,
+        B=B,
+        Q=np.diag([100.0, 0.0]),
+        R=np.eye(1),
+        kind="split",
+        nominal_gain=K / 2,
+        A_d=-B @ K / 2,
+        sampling_s=0.02,
+    )
+
+
+@pytest.mark.parametrize(("rate", "brute_force"), [(0.005, 1.88), (0.02, 2.81)])
+def test_minimal_deviation_is_near_the_brute_force_optimum(rate, brute_force):
+    """Reference: a grid over both gains, C1 analysis at each (computed separately)."""
+    plant = _double_integrator()
+    gain, witness = RazumikhinSynthesis(plant, rate).minimal_deviation(5)
+    assert certify(*plant.closed_loop(gain), 5, witness).certified
+    deviation = np.linalg.norm(gain - plant.nominal_gain)
+    assert 0.97 * brute_force < deviation < 1.03 * brute_force
+    # Halfway back to the nominal gain nothing is certified any more.
+    halfway = plant.nominal_gain + 0.9 * (gain - plant.nominal_gain)
+    loop = plant.closed_loop(halfway)
+    assert not certify(*loop, 5, analyse(*loop, 5, rate)).certified
+
+
+def test_adjusted_gains_of_the_split_robot(make_split_plant):
+    plant = make_split_plant(100.0, 0.5)
+    assert np.linalg.norm(plant.nominal_gain) == pytest.approx(7.37, abs=0.01)
+    synthesis = RazumikhinSynthesis(plant, 0.02)
+    gain, witness = synthesis.minimal_deviation(6)
+    certificate = certify(*plant.closed_loop(gain), 6, witness)
+    assert certificate.certified
+    assert certificate.spectral_radii.max() <= np.sqrt(1 - 0.02)
+    assert np.linalg.norm(gain - plant.nominal_gain) < 7.65  # without alternation
+
+
+def test_synthesis_refuses_a_network_plant(make_network_plant):
+    with pytest.raises(ValueError, match="needs a 'split' plant"):
+        RazumikhinSynthesis(make_network_plant(), 0.02)
+
+
+@pytest.mark.parametrize("rate", [0.0, 1.0, -0.1])
+def test_rate_must_lie_between_0_and_1(rate):
+    with pytest.raises(ValueError, match="decay_rate is"):
+        analyse([[0.5]], [[0.1]], 3, rate)
