@@ -104,8 +104,8 @@ def _describe(
         if item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
             section = location[0] if len(location) > 1 else None
             message = f"unknown key; allowed: {', '.join(_allowed_keys(section))}"
-        elif isinstance(value, str) and re.fullmatch(r"[-+]?\d+(\.\d*)?[eE]-?\d+", value):
-            message += " (YAML reads a number such as 1e-3 as text: write 1.0e-3)"
+        elif isinstance(value, str) and re.fullmatch(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+", value):
+            message += " (YAML takes 1e-3 and 1.0e6 for text: write 1.0e-3, 1.0e+6)"
         lines.append(f"{source}: {key} = {value!r}: {message}")
     return "\n".join(dict.fromkeys(lines))
 

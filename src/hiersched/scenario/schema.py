@@ -120,6 +120,7 @@ class Robot:
     noise_heading_rad: NonNegative
     core_latency_s: NonNegative
     window_s: Positive
+    initial_dexterity_index: Annotated[float, Field(ge=0, le=1)]
 
 
 @dataclass(frozen=True, kw_only=True)

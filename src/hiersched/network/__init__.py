@@ -1,0 +1,1 @@
+"""Traffic, queues, allocation, schedulers and the Lyapunov terms."""

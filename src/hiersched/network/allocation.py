@@ -1,0 +1,349 @@
+"""Who gets which PRB: every PRB one owner, every user one PRB or more (constraints 3b-3d of the paper).
+
+The first PRB of every user is an assignment problem and solved exactly (shortest augmenting paths); the K - U others
+are given out one by one where the utility rises most.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hiersched.network.lyapunov import UserTerms, user_lagrangian
+from hiersched.numerics import ln_f32
+
+UTILITY_LOG = 0
+UTILITY_LINEAR = 1
+UTILITY_LAGRANGIAN = 2
+
+_INDEX_BITS = np.int64(1023)
+_VALUE_BITS = ~_INDEX_BITS
+_FAR = 1e300
+
+
+class AllocationScratch(NamedTuple):
+    """Work arrays of one allocation; `cost` and `cost_bits`, `distance` and `distance_bits` share memory."""
+
+    cost: NDArray[np.float64]
+    cost_bits: NDArray[np.int64]
+    distance: NDArray[np.float64]
+    distance_bits: NDArray[np.int64]
+    column_price: NDArray[np.float64]
+    open_price: NDArray[np.float64]
+    row_price: NDArray[np.float64]
+    settled_distance: NDArray[np.float64]
+    settled: NDArray[np.int64]
+    path: NDArray[np.int64]
+    user_of_prb: NDArray[np.int64]
+    prb_of_user: NDArray[np.int64]
+    user_rate: NDArray[np.float64]
+    free_prb: NDArray[np.int64]
+    order: NDArray[np.int64]
+    gain: NDArray[np.float64]
+
+
+def allocation_scratch(num_users: int, num_prb: int) -> AllocationScratch:
+    """Work arrays for `num_users` users and `num_prb` PRBs.
+
+    Raises
+    ------
+    ValueError
+        If there are more users than PRBs, or more PRBs than the search packs into its keys.
+    """
+    if not 1 <= num_users <= num_prb:
+        raise ValueError(f"num_users = {num_users}: must be 1 to num_prb = {num_prb}")
+    if num_prb > _INDEX_BITS:
+        raise ValueError(f"num_prb = {num_prb}: at most {_INDEX_BITS}")
+    cost = np.zeros((num_users, num_prb))
+    distance = np.zeros(num_prb)
+    return AllocationScratch(
+        cost=cost,
+        cost_bits=cost.view(np.int64),
+        distance=distance,
+        distance_bits=distance.view(np.int64),
+        column_price=np.zeros(num_prb),
+        open_price=np.zeros(num_prb),
+        row_price=np.zeros(num_users),
+        settled_distance=np.zeros(num_prb),
+        settled=np.zeros(num_prb, np.int64),
+        path=np.zeros(num_prb, np.int64),
+        user_of_prb=np.zeros(num_prb, np.int64),
+        prb_of_user=np.zeros(num_users, np.int64),
+        user_rate=np.zeros(num_users),
+        free_prb=np.zeros(num_prb, np.int64),
+        order=np.zeros(num_users, np.int64),
+        gain=np.zeros((num_prb, num_users)),
+    )
+
+
+@njit(inline="always")
+def _least(bits: NDArray[np.int64], count: int) -> int:
+    """Index of the least of `count` non-negative doubles, given as their bits.
+
+    Non-negative doubles order like their bits; the index rides in the last ten, so that minimum and place come from
+    one vectorised reduction. Values closer than 2^-42 relative count as equal.
+    """
+    key = np.int64(0x7FFFFFFFFFFFFFFF)
+    for k in range(count):
+        key = min(key, (bits[k] & _VALUE_BITS) | k)
+    return key & _INDEX_BITS
+
+
+@njit(error_model="numpy")
+def assign_one_each(scratch: AllocationScratch) -> None:
+    """Give every user exactly one PRB at least total cost; results in `prb_of_user` and `user_of_prb` (-1: free).
+
+    Shortest augmenting paths with dual prices (Jonker and Volgenant, Computing 1987; Crouse, IEEE TAES 2016), for
+    non-negative costs `scratch.cost`, shape (U, K), whose least entry in every row is 0.
+    """
+    cost = scratch.cost
+    price = scratch.column_price
+    open_price = scratch.open_price
+    row_price = scratch.row_price
+    distance = scratch.distance
+    user_of_prb = scratch.user_of_prb
+    prb_of_user = scratch.prb_of_user
+    path = scratch.path
+    num_users, num_prb = cost.shape
+    for k in range(num_prb):
+        user_of_prb[k] = -1
+        price[k] = 0.0
+    for user in range(num_users):
+        k = _least(scratch.cost_bits[user], num_prb)
+        row_price[user] = cost[user, k]
+        prb_of_user[user] = -1
+        if user_of_prb[k] < 0:
+            user_of_prb[k] = user
+            prb_of_user[user] = k
+    for start in range(num_users):
+        if prb_of_user[start] >= 0:
+            continue
+        for k in range(num_prb):
+            distance[k] = _FAR
+            open_price[k] = price[k]
+        user = start
+        base = -row_price[user]
+        num_settled = 0
+        while True:
+            row = cost[user]
+            for k in range(num_prb):
+                through = base + row[k] - open_price[k]
+                nearer = through < distance[k]
+                distance[k] = through if nearer else distance[k]
+                path[k] = user if nearer else path[k]
+            k = _least(scratch.distance_bits, num_prb)
+            shortest = distance[k]
+            if user_of_prb[k] < 0:
+                break
+            scratch.settled[num_settled] = k
+            scratch.settled_distance[num_settled] = shortest
+            num_settled += 1
+            # Out of reach from now on: neither the least nor ever improved.
+            distance[k] = 10.0 * _FAR
+            open_price[k] = -1e5 * _FAR
+            user = user_of_prb[k]
+            base = shortest - row_price[user]
+        for i in range(num_settled):
+            slack = shortest - scratch.settled_distance[i]
+            price[scratch.settled[i]] -= slack
+            row_price[user_of_prb[scratch.settled[i]]] += slack
+        row_price[start] += shortest
+        while True:
+            user = path[k]
+            user_of_prb[k] = user
+            k, prb_of_user[user] = prb_of_user[user], k
+            if user == start:
+                break
+
+
+@njit(error_model="numpy")
+def _first_costs(
+    utility: int,
+    rate: NDArray[np.float32],
+    weight: NDArray[np.float64],
+    terms: UserTerms,
+    cost: NDArray[np.float64],
+) -> None:
+    """Cost of each (user, PRB) as a user's only PRB: the utility lost against the user's best one."""
+    num_users, num_prb = rate.shape
+    for user in range(num_users):
+        row = cost[user]
+        rates = rate[user]
+        w = weight[user]
+        if utility == UTILITY_LOG:
+            for k in range(num_prb):
+                row[k] = -w * np.float64(ln_f32(rates[k]))
+        elif utility == UTILITY_LINEAR:
+            for k in range(num_prb):
+                row[k] = -w * np.float64(rates[k])
+        else:
+            for k in range(num_prb):
+                row[k] = user_lagrangian(terms, user, np.float64(rates[k]))
+        least = row[0]
+        for k in range(1, num_prb):
+            least = min(least, row[k])
+        for k in range(num_prb):
+            row[k] -= least
+
+
+@njit(inline="always")
+def _marginal(
+    utility: int,
+    user: int,
+    rate: float,
+    have: float,
+    weight: NDArray[np.float64],
+    terms: UserTerms,
+) -> float:
+    if utility == UTILITY_LOG:
+        return weight[user] * np.float64(ln_f32(np.float32(1.0 + rate / have)))
+    if utility == UTILITY_LINEAR:
+        return weight[user] * rate
+    return user_lagrangian(terms, user, have) - user_lagrangian(terms, user, have + rate)
+
+
+@njit(error_model="numpy")
+def allocate_by_utility(
+    utility: int,
+    rate: NDArray[np.float32],
+    weight: NDArray[np.float64],
+    terms: UserTerms,
+    scratch: AllocationScratch,
+    owner: NDArray[np.uint32],
+) -> None:
+    """Allocate all PRBs of one slot to raise the sum of the users' utilities.
+
+    Parameters
+    ----------
+    utility
+        UTILITY_LOG (w log R: PF when all w are equal), UTILITY_LINEAR (w R) or UTILITY_LAGRANGIAN (minus the slot's
+        drift-plus-penalty Lagrangian of `terms`).
+    rate
+        Rate of each user on each PRB, shape (U, K), Mbit/s.
+    weight
+        Weight of each user, shape (U,).
+    terms
+        What the Lagrangian needs; unused by the other two.
+    scratch
+        From `allocation_scratch`.
+    owner
+        Result: user of each PRB, shape (K,).
+    """
+    num_users, num_prb = rate.shape
+    _first_costs(utility, rate, weight, terms, scratch.cost)
+    assign_one_each(scratch)
+    have = scratch.user_rate
+    for user in range(num_users):
+        have[user] = rate[user, scratch.prb_of_user[user]]
+    num_free = 0
+    for k in range(num_prb):
+        if scratch.user_of_prb[k] >= 0:
+            owner[k] = scratch.user_of_prb[k]
+        else:
+            scratch.free_prb[num_free] = k
+            num_free += 1
+    gain = scratch.gain
+    for i in range(num_free):
+        k = scratch.free_prb[i]
+        for user in range(num_users):
+            gain[i, user] = _marginal(utility, user, rate[user, k], have[user], weight, terms)
+    for left in range(num_free, 0, -1):
+        best_i = 0
+        best_user = 0
+        best = gain[0, 0]
+        for i in range(left):
+            for user in range(num_users):
+                if gain[i, user] > best:
+                    best = gain[i, user]
+                    best_i = i
+                    best_user = user
+        k = scratch.free_prb[best_i]
+        owner[k] = best_user
+        have[best_user] += rate[best_user, k]
+        # The last free PRB takes the place of the one just given.
+        scratch.free_prb[best_i] = scratch.free_prb[left - 1]
+        for user in range(num_users):
+            gain[best_i, user] = gain[left - 1, user]
+        for i in range(left - 1):
+            k = scratch.free_prb[i]
+            gain[i, best_user] = _marginal(
+                utility, best_user, rate[best_user, k], have[best_user], weight, terms
+            )
+
+
+@njit(error_model="numpy")
+def allocate_by_urgency(
+    rate: NDArray[np.float32],
+    urgency: NDArray[np.float64],
+    need_mbps: NDArray[np.float64],
+    scratch: AllocationScratch,
+    owner: NDArray[np.uint32],
+) -> None:
+    """Serve users in the order of falling urgency: one PRB each, then PRBs until the need is met.
+
+    Parameters
+    ----------
+    rate
+        Rate of each user on each PRB, shape (U, K), Mbit/s.
+    urgency
+        Shape (U,); equal urgencies are served in the order of the users.
+    need_mbps
+        Rate that would empty the user's queue in this slot, shape (U,). PRBs that nobody needs are given out one by
+        one in the same order.
+    scratch
+        From `allocation_scratch`.
+    owner
+        Result: user of each PRB, shape (K,).
+    """
+    num_users, num_prb = rate.shape
+    order = scratch.order
+    for user in range(num_users):
+        place = user
+        while place > 0 and urgency[order[place - 1]] < urgency[user]:
+            order[place] = order[place - 1]
+            place -= 1
+        order[place] = user
+        scratch.user_rate[user] = 0.0
+    for k in range(num_prb):
+        scratch.user_of_prb[k] = -1
+    left = num_prb
+    for place in range(num_users):
+        left -= _take_best(order[place], rate, scratch, owner)
+    for place in range(num_users):
+        user = order[place]
+        while left > 0 and scratch.user_rate[user] < need_mbps[user]:
+            left -= _take_best(user, rate, scratch, owner)
+    place = 0
+    while left > 0:
+        left -= _take_best(order[place % num_users], rate, scratch, owner)
+        place += 1
+
+
+@njit(error_model="numpy")
+def _take_best(
+    user: int,
+    rate: NDArray[np.float32],
+    scratch: AllocationScratch,
+    owner: NDArray[np.uint32],
+) -> int:
+    """Give the user its best free PRB; returns 1, the number of PRBs taken."""
+    best = -1
+    for k in range(rate.shape[1]):
+        if scratch.user_of_prb[k] < 0 and (best < 0 or rate[user, k] > rate[user, best]):
+            best = k
+    scratch.user_of_prb[best] = user
+    scratch.user_rate[user] += rate[user, best]
+    owner[best] = user
+    return 1
+
+
+@njit(error_model="numpy")
+def allocate_in_turn(
+    slot: int, num_users: int, num_prb: int, owner: NDArray[np.uint32]
+) -> None:
+    """Round robin: PRBs go around the users, and the next slot goes on where this one stopped."""
+    for k in range(num_prb):
+        owner[k] = (slot * num_prb + k) % num_users

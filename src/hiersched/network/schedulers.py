@@ -1,0 +1,187 @@
+"""The classical schedulers as weights, utilities or orders of the one allocator.
+
+Every rule reads what a base station knows at the start of a slot: backlog, head-of-line delay W, moving average rate
+and the channel, never the slot's arrivals. Sources: Kelly 1998 (pf), Jalali et al. 2000 (pf_average), Tassiulas and
+Ephremides 1992 (max_weight), Andrews et al. 2001 (m_lwdf), Rhee et al. 2003 (exp_pf), Sadiq et al. 2009 (log_rule),
+Neely 2010 (drift_plus_penalty).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hiersched.network.allocation import (
+    UTILITY_LAGRANGIAN,
+    UTILITY_LINEAR,
+    UTILITY_LOG,
+    AllocationScratch,
+    allocate_by_urgency,
+    allocate_by_utility,
+    allocate_in_turn,
+)
+from hiersched.network.lyapunov import UserTerms
+
+WEIGHTED_PF = 0
+PF_AVERAGE = 1
+ROUND_ROBIN = 2
+MAX_RATE = 3
+MAX_WEIGHT = 4
+M_LWDF = 5
+EXP_PF = 6
+LOG_RULE = 7
+EDF = 8
+DRIFT_PLUS_PENALTY = 9
+
+CLASSICAL = {
+    "pf": WEIGHTED_PF,
+    "pf_average": PF_AVERAGE,
+    "round_robin": ROUND_ROBIN,
+    "max_rate": MAX_RATE,
+    "max_weight": MAX_WEIGHT,
+    "m_lwdf": M_LWDF,
+    "exp_pf": EXP_PF,
+    "log_rule": LOG_RULE,
+    "edf": EDF,
+    "drift_plus_penalty": DRIFT_PLUS_PENALTY,
+}
+"""Code of every classical scheduler by its name in YAML; `pf` is the weighted PF with all weights 1."""
+
+
+class SchedulerConstants(NamedTuple):
+    """Constants of the rules: each user's deadline (U,) in s and admitted late share (U,), and the log rule's c and a D."""
+
+    deadline_s: NDArray[np.float64]
+    late_share: NDArray[np.float64]
+    num_urllc: int
+    log_rule_offset: float
+    log_rule_gain: float
+
+
+@njit(error_model="numpy")
+def index_weights(
+    scheduler: int,
+    backlog_packets: NDArray[np.float64],
+    hol_delay_s: NDArray[np.float64],
+    average_rate_mbps: NDArray[np.float64],
+    constants: SchedulerConstants,
+    weight: NDArray[np.float64],
+) -> None:
+    """Weights w of the rules that maximise the sum of w r, in place, shape (U,)."""
+    num_users = weight.shape[0]
+    if scheduler == EXP_PF:
+        _exp_pf_weights(hol_delay_s, average_rate_mbps, constants, weight)
+        return
+    for user in range(num_users):
+        average = average_rate_mbps[user]
+        wait = hol_delay_s[user]
+        deadline = constants.deadline_s[user]
+        if scheduler == MAX_RATE:
+            weight[user] = 1.0
+        elif scheduler == PF_AVERAGE:
+            weight[user] = 1.0 / average
+        elif scheduler == MAX_WEIGHT:
+            weight[user] = backlog_packets[user]
+        elif scheduler == M_LWDF:
+            weight[user] = -math.log10(constants.late_share[user]) / deadline * wait / average
+        else:
+            weight[user] = (
+                math.log(
+                    constants.log_rule_offset + constants.log_rule_gain * wait / deadline
+                )
+                / average
+            )
+
+
+@njit(error_model="numpy")
+def _exp_pf_weights(
+    hol_delay_s: NDArray[np.float64],
+    average_rate_mbps: NDArray[np.float64],
+    constants: SchedulerConstants,
+    weight: NDArray[np.float64],
+) -> None:
+    """EXP/PF: exp((a W - mean aW) / (1 + sqrt(mean aW))) / average rate for URLLC, 1 / average rate for eMBB."""
+    num_urllc = constants.num_urllc
+    mean = 0.0
+    for user in range(num_urllc):
+        a = -math.log10(constants.late_share[user]) / constants.deadline_s[user]
+        weight[user] = a * hol_delay_s[user]
+        mean += weight[user] / num_urllc
+    largest = 0.0
+    for user in range(num_urllc):
+        weight[user] = (weight[user] - mean) / (1.0 + math.sqrt(mean))
+        largest = max(largest, weight[user])
+    # The rule does not change when all weights are scaled: the largest exponent is taken out, so none overflows.
+    for user in range(weight.shape[0]):
+        exponent = weight[user] if user < num_urllc else 0.0
+        weight[user] = math.exp(exponent - largest) / average_rate_mbps[user]
+
+
+@njit(error_model="numpy")
+def schedule_slot(
+    scheduler: int,
+    slot: int,
+    rate: NDArray[np.float32],
+    given_weight: NDArray[np.float64],
+    hol_delay_s: NDArray[np.float64],
+    average_rate_mbps: NDArray[np.float64],
+    terms: UserTerms,
+    constants: SchedulerConstants,
+    weight: NDArray[np.float64],
+    scratch: AllocationScratch,
+    owner: NDArray[np.uint32],
+) -> None:
+    """Allocate one slot by one scheduler.
+
+    Parameters
+    ----------
+    scheduler
+        One of the codes in `CLASSICAL`.
+    slot
+        Index of the slot (round robin only).
+    rate
+        Rate of each user on each PRB, shape (U, K), Mbit/s.
+    given_weight
+        Weights of the weighted PF rule, shape (U,).
+    hol_delay_s, average_rate_mbps
+        Shape (U,).
+    terms, constants
+        Lagrangian and rule constants; `terms.backlog_packets` is the backlog.
+    weight
+        Scratch, shape (U,).
+    scratch
+        From `allocation_scratch`.
+    owner
+        Result: user of each PRB, shape (K,).
+    """
+    if scheduler == WEIGHTED_PF:
+        allocate_by_utility(UTILITY_LOG, rate, given_weight, terms, scratch, owner)
+    elif scheduler == DRIFT_PLUS_PENALTY:
+        allocate_by_utility(UTILITY_LAGRANGIAN, rate, given_weight, terms, scratch, owner)
+    elif scheduler == ROUND_ROBIN:
+        allocate_in_turn(slot, rate.shape[0], rate.shape[1], owner)
+    elif scheduler == EDF:
+        need = scratch.row_price
+        for user in range(rate.shape[0]):
+            weight[user] = hol_delay_s[user] - constants.deadline_s[user]
+            need[user] = (
+                terms.backlog_packets[user] / terms.service_packets_per_mbps
+                + terms.service_offset_mbps[user]
+            )
+            if terms.backlog_packets[user] == 0.0:
+                need[user] = 0.0
+        allocate_by_urgency(rate, weight, need, scratch, owner)
+    else:
+        index_weights(
+            scheduler,
+            terms.backlog_packets,
+            hol_delay_s,
+            average_rate_mbps,
+            constants,
+            weight,
+        )
+        allocate_by_utility(UTILITY_LINEAR, rate, weight, terms, scratch, owner)

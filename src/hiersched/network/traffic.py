@@ -1,0 +1,26 @@
+"""Arrivals: the Poisson quantile of a uniform, so that the uniform and not the count belongs to the world."""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+MAX_MEAN = 600.0
+"""Largest mean of `poisson_quantile`: exp(-mean) must stay a normal double."""
+
+
+@njit(error_model="numpy")
+def poisson_quantile(uniform: float, mean: float) -> int:
+    """Least k whose Poisson distribution function at `mean` reaches `uniform` (0 < uniform < 1, mean <= MAX_MEAN)."""
+    term = math.exp(-mean)
+    cumulative = term
+    k = 0
+    while cumulative < uniform:
+        k += 1
+        term *= mean / k
+        if term < 1e-320 and k > mean:
+            # Far in the tail the sum has rounded below the uniform: no later term can change it.
+            break
+        cumulative += term
+    return k

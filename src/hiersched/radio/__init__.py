@@ -1,0 +1,1 @@
+"""Fading, path loss and the rate of a resource block."""

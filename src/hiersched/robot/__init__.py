@@ -1,0 +1,1 @@
+"""The robots: plant, references, motion and dexterity index."""

@@ -1,0 +1,149 @@
+"""The co-simulator: network and robots in one slot loop over a batch of worlds."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hiersched.network.schedulers import CLASSICAL
+from hiersched.scenario.schema import Scenario
+from hiersched.simulator.kernel import draw_channels, run_slots
+from hiersched.simulator.records import SlotRecord, empty_record
+from hiersched.simulator.setup import (
+    Gains,
+    SlotConstants,
+    SlotState,
+    initial_state,
+    slot_constants,
+    slot_scratch,
+)
+
+__all__ = ["Gains", "Simulator", "SlotConstants", "SlotRecord", "SlotState"]
+
+
+class Simulator:
+    """A batch of worlds that share one scenario.
+
+    Parameters
+    ----------
+    scenario
+        The validated scenario.
+    gains
+        Gain schedule of the robots.
+    keys
+        Worlds, shape (E,), from `randomness.world_key`.
+    num_slots
+        Slots until the horizon.
+
+    Raises
+    ------
+    ValueError
+        If gains and scenario do not fit.
+    """
+
+    def __init__(
+        self, scenario: Scenario, gains: Gains, keys: NDArray[np.uint64], num_slots: int
+    ) -> None:
+        self.scenario = scenario
+        self.num_slots = num_slots
+        self.constants: SlotConstants = slot_constants(scenario, gains, num_slots)
+        self.state: SlotState = initial_state(scenario, keys, num_slots)
+        self._scratch = slot_scratch(self.constants)
+        self._ones = np.ones((len(keys), scenario.num_users))
+        self._zeros = np.zeros((len(keys), scenario.users.num_urllc))
+        draw_channels(self.constants, self.state, self._scratch)
+
+    @property
+    def num_envs(self) -> int:
+        """Worlds in the batch."""
+        return len(self.state.key)
+
+    @property
+    def slots_left(self) -> int:
+        """Slots until the horizon."""
+        return self.num_slots - int(self.state.slot.max())
+
+    def reset(self, keys: NDArray[np.uint64]) -> None:
+        """Start anew in the worlds `keys`, shape (E,).
+
+        Raises
+        ------
+        ValueError
+            If the number of worlds differs.
+        """
+        if len(keys) != self.num_envs:
+            raise ValueError(f"{len(keys)} worlds, must be {self.num_envs}")
+        self.state = initial_state(self.scenario, keys, self.num_slots)
+        draw_channels(self.constants, self.state, self._scratch)
+
+    def run(
+        self,
+        policy: str,
+        num_slots: int | None = None,
+        *,
+        weights: NDArray[np.float64] | None = None,
+        multipliers: NDArray[np.float64] | None = None,
+        record: SlotRecord | None = None,
+    ) -> SlotRecord:
+        """Run all worlds under a classical scheduler, or under PF with given weights.
+
+        Parameters
+        ----------
+        policy
+            Name of a classical scheduler.
+        num_slots
+            Slots to run; up to the horizon unless given.
+        weights
+            For ``pf``: weights, shape (E, U), held for all these slots; 1 unless given.
+        multipliers
+            Multiplier of each URLLC user's delay constraint, shape (E, R); 0 unless given.
+        record
+            Is filled and returned; a new one unless given.
+
+        Raises
+        ------
+        ValueError
+            On an unknown policy, weights that are not positive and finite, or slots beyond the horizon.
+        """
+        if policy not in CLASSICAL:
+            raise ValueError(f"policy = {policy!r}: must be one of {', '.join(CLASSICAL)}")
+        if num_slots is None:
+            num_slots = self.slots_left if record is None else record.prb_owner.shape[1]
+        if not 0 < num_slots <= self.slots_left:
+            raise ValueError(f"num_slots = {num_slots}: must be 1 to {self.slots_left}")
+        if weights is None:
+            weights = self._ones
+        elif weights.shape != self._ones.shape or not (
+            np.isfinite(weights).all() and (weights > 0).all()
+        ):
+            raise ValueError(
+                f"weights: must be positive and finite, shape {self._ones.shape}"
+            )
+        if record is None:
+            record = self.new_record(num_slots)
+        elif record.prb_owner.shape[:2] != (self.num_envs, num_slots):
+            raise ValueError(
+                f"record: {record.prb_owner.shape[:2]} environments and slots, must be "
+                f"{(self.num_envs, num_slots)}"
+            )
+        run_slots(
+            self.constants,
+            self.state,
+            self._scratch,
+            CLASSICAL[policy],
+            weights,
+            self._zeros if multipliers is None else multipliers,
+            record,
+        )
+        return record
+
+    def new_record(self, num_slots: int) -> SlotRecord:
+        """Zeroed record for `num_slots` slots of all worlds."""
+        scenario = self.scenario
+        return empty_record(
+            self.num_envs,
+            num_slots,
+            scenario.num_users,
+            scenario.users.num_urllc,
+            scenario.radio.num_prb,
+        )

@@ -1,0 +1,116 @@
+"""What a slot produced: the one record that feeds rewards, metrics and the log."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class SlotRecord(NamedTuple):
+    """Slots of E environments; every array has leading axes (E, T), then the shape noted.
+
+    U users (URLLC first), R robots (one a URLLC user), K PRBs. Fields and units are those of the log's topics.
+    """
+
+    fading_power: NDArray[np.float32]  # (U, K) squared amplitude
+    mean_fading_power: NDArray[np.float32]  # (U,)
+    arrival_uniform: NDArray[np.float64]  # (U,)
+    robot_normal: NDArray[np.float32]  # (R, 5) slip 2, measurement noise 3
+    prb_owner: NDArray[np.uint32]  # (K,)
+    num_prb: NDArray[np.uint32]  # (U,)
+    rate_mbps: NDArray[np.float64]  # (U,)
+    weight: NDArray[np.float32]  # (U,) of the weighted PF rule
+    backlog_packets: NDArray[np.float64]  # (U,) at the start of the slot
+    arrivals_packets: NDArray[np.uint32]  # (U,)
+    service_packets: NDArray[np.float64]  # (U,) offered
+    average_rate_mbps: NDArray[np.float64]  # (U,) before the slot
+    hol_delay_s: NDArray[np.float64]  # (U,) at the start of the slot
+    delay_s: NDArray[np.float64]  # (U,) last packet delivered
+    due_packets: NDArray[np.uint32]  # (U,)
+    late_packets: NDArray[np.uint32]  # (U,)
+    arrival_clamped: NDArray[np.uint32]  # (U,) 0 or 1
+    multiplier: NDArray[np.float64]  # (R,)
+    constraint: NDArray[np.float64]  # (R,) y, negative where violated
+    drift_urllc: NDArray[np.float64]  # ()
+    drift_embb: NDArray[np.float64]  # ()
+    penalty_urllc: NDArray[np.float64]  # ()
+    penalty_embb: NDArray[np.float64]  # ()
+    reward_urllc: NDArray[np.float64]  # ()
+    reward_embb: NDArray[np.float64]  # ()
+    network_delay_s: NDArray[np.float64]  # (R,)
+    delay_steps: NDArray[np.uint32]  # (R,)
+    delay_capped: NDArray[np.uint32]  # (R,) 0 or 1
+    gain_delay_steps: NDArray[np.uint32]  # (R,)
+    state: NDArray[np.float64]  # (R, 5) at the end of the slot
+    reference: NDArray[np.float64]  # (R, 5) x, y, theta, v, omega at the end of the slot
+    control: NDArray[np.float64]  # (R, 2)
+    control_saturated: NDArray[np.uint32]  # (R,) samples
+    tracking_error_m: NDArray[np.float64]  # (R,) root mean square over the slot
+    dexterity_index: NDArray[np.float64]  # (R,) in force
+
+    def environment(self, index: int) -> dict[str, NDArray[Any]]:
+        """Fields of one environment by name, each with leading axis (T,)."""
+        return {name: value[index] for name, value in zip(self._fields, self, strict=True)}
+
+
+_SHAPES = {
+    "fading_power": ("U", "K"),
+    "robot_normal": ("R", 5),
+    "prb_owner": ("K",),
+    "state": ("R", 5),
+    "reference": ("R", 5),
+    "control": ("R", 2),
+}
+_PER_ROBOT = (
+    "multiplier",
+    "constraint",
+    "network_delay_s",
+    "delay_steps",
+    "delay_capped",
+    "gain_delay_steps",
+    "control_saturated",
+    "tracking_error_m",
+    "dexterity_index",
+)
+_SCALARS = (
+    "drift_urllc",
+    "drift_embb",
+    "penalty_urllc",
+    "penalty_embb",
+    "reward_urllc",
+    "reward_embb",
+)
+_FLOAT32 = ("fading_power", "mean_fading_power", "robot_normal", "weight")
+_UINT32 = (
+    "prb_owner",
+    "num_prb",
+    "arrivals_packets",
+    "due_packets",
+    "late_packets",
+    "arrival_clamped",
+    "delay_steps",
+    "delay_capped",
+    "gain_delay_steps",
+    "control_saturated",
+)
+
+
+def empty_record(
+    num_envs: int, num_slots: int, num_users: int, num_robots: int, num_prb: int
+) -> SlotRecord:
+    """Zeroed record of `num_slots` slots of `num_envs` environments."""
+    sizes = {"U": num_users, "R": num_robots, "K": num_prb}
+    arrays = {}
+    for name in SlotRecord._fields:
+        if name in _SCALARS:
+            shape: tuple[str | int, ...] = ()
+        elif name in _PER_ROBOT:
+            shape = ("R",)
+        else:
+            shape = _SHAPES.get(name, ("U",))
+        dtype = np.float32 if name in _FLOAT32 else np.uint32 if name in _UINT32 else np.float64
+        concrete = tuple(sizes[n] if isinstance(n, str) else n for n in shape)
+        arrays[name] = np.zeros((num_envs, num_slots, *concrete), dtype)
+    return SlotRecord(**arrays)

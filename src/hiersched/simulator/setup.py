@@ -1,0 +1,301 @@
+"""From a scenario and a gain schedule to the constants and the initial state of the slot loop."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hiersched.network.allocation import AllocationScratch, allocation_scratch
+from hiersched.network.lyapunov import UserTerms
+from hiersched.network.schedulers import SchedulerConstants
+from hiersched.network.traffic import MAX_MEAN
+from hiersched.radio.channel import large_scale_gain, snr_per_fading_power
+from hiersched.robot.dynamics import RobotConstants, RobotState, robot_state
+from hiersched.robot.reference import reference_table
+from hiersched.scenario.schema import Scenario
+
+
+class Gains(Protocol):
+    """What the slot loop needs of a gain schedule: gains for T = 0 … T_max, shape (T_max + 1, 2, 5) each."""
+
+    @property
+    def local_gains(self) -> NDArray[np.float64]:
+        """Gains on the present measurement."""
+        ...
+
+    @property
+    def network_gains(self) -> NDArray[np.float64]:
+        """Gains on the delayed measurement."""
+        ...
+
+
+class SlotConstants(NamedTuple):
+    """What does not change during a run. Arrays have shape (U,), URLLC users first."""
+
+    num_urllc: int
+    num_prb: int
+    slot_s: float
+    prb_bandwidth_mhz: float
+    fading_scale: np.float32
+    offered_mbps: NDArray[np.float64]
+    rate_sensitivity: NDArray[np.float64]
+    arrival_packets_per_mbps: NDArray[np.float64]
+    service_packets_per_mbps: float
+    service_coefficient_mbps: float
+    batch_packets: int
+    deadline_slots: NDArray[np.float64]
+    mean_due_packets: NDArray[np.float64]
+    penalty_weight: float
+    epsilon: float
+    delay_exponent_per_mbps: float
+    violation_share: float
+    measured_constraint: bool
+    average_forgetting: float
+    reward_scale: float
+    rules: SchedulerConstants
+    robots: RobotConstants
+
+
+class SlotState(NamedTuple):
+    """What evolves, one row an environment; `fading_power` and `prb_rate_mbps` are those of the coming slot."""
+
+    key: NDArray[np.uint64]  # (E,)
+    slot: NDArray[np.int64]  # (E,)
+    snr: NDArray[np.float64]  # (E, U*K)
+    fading_power: NDArray[np.float32]  # (E, U, K)
+    prb_rate_mbps: NDArray[np.float32]  # (E, U, K)
+    backlog_packets: NDArray[np.float64]  # (E, U)
+    hol_delay_s: NDArray[np.float64]  # (E, U)
+    average_rate_mbps: NDArray[np.float64]  # (E, U)
+    rate_mbps: NDArray[np.float64]  # (E, U) of the last slot
+    arrived: NDArray[np.int64]  # (E, U, T + 1)
+    head: NDArray[np.int64]  # (E, U)
+    robots: RobotState
+
+
+class SlotScratch(NamedTuple):
+    """Work arrays of the slot loop."""
+
+    words: NDArray[np.uint32]
+    normal_words: NDArray[np.uint32]
+    weight: NDArray[np.float64]
+    terms: UserTerms
+    square_error: NDArray[np.float64]
+    allocation: AllocationScratch
+
+
+def _per_user(value: float | Sequence[float], count: int) -> NDArray[np.float64]:
+    return np.broadcast_to(np.asarray(value, dtype=np.float64), (count,)).copy()
+
+
+def slot_constants(scenario: Scenario, gains: Gains, num_slots: int) -> SlotConstants:
+    """Constants of a run of `num_slots` slots.
+
+    Parameters
+    ----------
+    scenario
+        The validated scenario.
+    gains
+        Gains for every delay up to `scenario.max_delay_steps`.
+    num_slots
+        Horizon of the run.
+
+    Raises
+    ------
+    ValueError
+        If the gains do not cover the scenario's delays, or a user's mean arrivals are beyond the Poisson quantile.
+    """
+    radio, traffic, objective = scenario.radio, scenario.traffic, scenario.objective
+    num_urllc, num_embb = scenario.users.num_urllc, scenario.users.num_embb
+    packet_mbit = traffic.packet_bits * 1e-6
+    delay_s = (
+        traffic.deadline_s
+        if traffic.application_delay_s is None
+        else traffic.application_delay_s
+    )
+    interval_s = radio.slot_s + delay_s
+    offered_urllc = traffic.load * _per_user(traffic.urllc_offered_mbps, num_urllc)
+    offered_embb = traffic.load * _per_user(traffic.embb_offered_mbps, num_embb)
+    sensitivity = np.repeat([traffic.rate_sensitivity, 0.0], [num_urllc, num_embb])
+    # lambda_0 such that the load at the reference rate is the offered one: the interval of the arrivals is longer than
+    # a slot (SPEC 2), so lambda_0 is smaller than the load.
+    base = offered_urllc * radio.slot_s / interval_s + (
+        traffic.rate_sensitivity * traffic.reference_rate_mbps
+    )
+    offered = np.concatenate([base, offered_embb])
+    arrival = np.repeat([interval_s, radio.slot_s], [num_urllc, num_embb]) / packet_mbit
+    worst = offered * arrival / traffic.batch_packets
+    if worst.max() > MAX_MEAN:
+        user = int(worst.argmax())
+        raise ValueError(
+            f"user {user}: up to {worst[user]:.6g} batches a slot on average; at most {MAX_MEAN:g} "
+            "(lower traffic.load or the offered rate, or raise traffic.packet_bits or traffic.batch_packets)"
+        )
+    deadline_s = np.repeat([traffic.deadline_s, traffic.embb_deadline_s], [num_urllc, num_embb])
+    rules = SchedulerConstants(
+        deadline_s=deadline_s,
+        late_share=1.0
+        - np.repeat([traffic.reliability, traffic.embb_reliability], [num_urllc, num_embb]),
+        num_urllc=num_urllc,
+        log_rule_offset=scenario.schedulers.log_rule_offset,
+        log_rule_gain=scenario.schedulers.log_rule_gain,
+    )
+    return SlotConstants(
+        num_urllc=num_urllc,
+        num_prb=radio.num_prb,
+        slot_s=radio.slot_s,
+        prb_bandwidth_mhz=radio.bandwidth_hz / radio.num_prb * 1e-6,
+        fading_scale=np.float32(2.0 * radio.rayleigh_scale**2),
+        offered_mbps=offered,
+        rate_sensitivity=sensitivity,
+        arrival_packets_per_mbps=arrival,
+        service_packets_per_mbps=radio.slot_s / packet_mbit,
+        service_coefficient_mbps=traffic.service_coefficient_mbps,
+        batch_packets=traffic.batch_packets,
+        deadline_slots=_near_integer(deadline_s / radio.slot_s),
+        mean_due_packets=np.concatenate([offered_urllc, offered_embb])
+        * radio.slot_s
+        / packet_mbit,
+        penalty_weight=objective.penalty_weight,
+        epsilon=objective.epsilon,
+        delay_exponent_per_mbps=objective.delay_exponent * traffic.deadline_s,
+        violation_share=1.0 - traffic.reliability,
+        measured_constraint=objective.constraint == "measured",
+        average_forgetting=1.0 / scenario.schedulers.average_window_slots,
+        reward_scale=scenario.learning.reward_scale,
+        rules=rules,
+        robots=robot_constants(scenario, gains, num_slots, num_urllc),
+    )
+
+
+def _near_integer(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """0.02 s / 0.01 s must be 2 slots, not 2.0000000000000004: quotients within 1e-9 of an integer become it."""
+    rounded = np.round(values)
+    return np.where(np.abs(values - rounded) < 1e-9 * np.maximum(1.0, rounded), rounded, values)
+
+
+def robot_constants(
+    scenario: Scenario, gains: Gains, num_slots: int, num_robots: int
+) -> RobotConstants:
+    """Constants of `num_robots` robots over `num_slots` slots.
+
+    Raises
+    ------
+    ValueError
+        If the gains do not cover the scenario's delays.
+    """
+    robot, control, slot_s = scenario.robot, scenario.control, scenario.radio.slot_s
+    step_s = robot.substep_s
+    steps_per_slot = round(slot_s / step_s)
+    needed = scenario.max_delay_steps + 1
+    local = np.ascontiguousarray(gains.local_gains)
+    network = np.ascontiguousarray(gains.network_gains)
+    for name, array in (("local_gains", local), ("network_gains", network)):
+        if array.shape != (needed, 2, 5):
+            raise ValueError(f"{name}: shape {array.shape}, must be {(needed, 2, 5)}")
+    if control.gain == "nominal":
+        # The schedule's entry for delay 0 is the nominal gain, whatever the delay.
+        local, network = np.repeat(local[:1], needed, axis=0), np.repeat(network[:1], needed, axis=0)
+    table, offset = reference_table(
+        robot.reference, robot.speed_mps, step_s, num_slots * steps_per_slot, num_robots
+    )
+    half_turn = 0.5 * step_s * table.turn_rate_radps
+    decay = float(np.exp(-step_s / robot.actuator_lag_s))
+    slip_decay = float(np.exp(-slot_s / robot.slip_time_s))
+    slip_spread = float(np.sqrt(1.0 - slip_decay**2))
+    return RobotConstants(
+        step_s=step_s,
+        steps_per_slot=steps_per_slot,
+        steps_per_sample=round(control.sampling_s / step_s),
+        steps_per_window=round(robot.window_s / step_s),
+        sampling_s=control.sampling_s,
+        lag_decay=decay,
+        lag_mean=(1.0 - decay) * robot.actuator_lag_s / step_s,
+        slip_decay=slip_decay,
+        slip_gain_mps=robot.slip_speed_mps * slip_spread,
+        slip_gain_radps=robot.slip_turn_rate_radps * slip_spread,
+        noise_position_m=robot.noise_position_m,
+        noise_heading_rad=robot.noise_heading_rad,
+        max_speed_mps=robot.max_speed_mps,
+        max_turn_rate_radps=robot.max_turn_rate_radps,
+        core_latency_s=robot.core_latency_s,
+        max_delay_steps=scenario.max_delay_steps,
+        local_gain=local,
+        network_gain=network,
+        speed_mps=robot.speed_mps,
+        turn_rate=table.turn_rate_radps,
+        half_cos=np.cos(half_turn),
+        half_sin=np.sin(half_turn),
+        chord=robot.speed_mps * step_s * np.sinc(half_turn / np.pi),
+        pose=table.pose,
+        offset=offset,
+    )
+
+
+def initial_state(
+    scenario: Scenario, keys: NDArray[np.uint64], num_slots: int
+) -> SlotState:
+    """Empty queues and robots on their reference in the worlds `keys`, shape (E,), for `num_slots` slots.
+
+    The channel of slot 0 is not drawn yet: `Simulator` does that.
+    """
+    num_envs, num_users, num_prb = len(keys), scenario.num_users, scenario.radio.num_prb
+    radio = scenario.radio
+    snr = np.full((num_envs, num_users), snr_per_fading_power(radio.tx_power_dbm, radio.noise_dbm))
+    if radio.path_loss == "macro":
+        for env, key in enumerate(keys):
+            snr[env] *= large_scale_gain(
+                int(key),
+                num_users,
+                cell_radius_m=radio.cell_radius_m,
+                min_distance_m=radio.min_distance_m,
+                shadowing_db=radio.shadowing_db,
+            )
+    return SlotState(
+        key=np.asarray(keys, dtype=np.uint64).copy(),
+        slot=np.zeros(num_envs, np.int64),
+        snr=np.repeat(snr, num_prb, axis=1),
+        fading_power=np.zeros((num_envs, num_users, num_prb), np.float32),
+        prb_rate_mbps=np.zeros((num_envs, num_users, num_prb), np.float32),
+        backlog_packets=np.zeros((num_envs, num_users)),
+        hol_delay_s=np.zeros((num_envs, num_users)),
+        average_rate_mbps=np.zeros((num_envs, num_users)),
+        rate_mbps=np.zeros((num_envs, num_users)),
+        arrived=np.zeros((num_envs, num_users, num_slots + 1), np.int64),
+        head=np.zeros((num_envs, num_users), np.int64),
+        robots=robot_state(
+            num_envs,
+            scenario.users.num_urllc,
+            scenario.max_delay_steps,
+            scenario.robot.initial_dexterity_index,
+        ),
+    )
+
+
+def slot_scratch(constants: SlotConstants) -> SlotScratch:
+    """Work arrays for one caller of the slot loop."""
+    num_users = len(constants.offered_mbps)
+    num_prb = constants.num_prb
+    return SlotScratch(
+        words=np.zeros((4, (num_users * num_prb + 3) // 4), np.uint32),
+        normal_words=np.zeros((constants.num_urllc, 8), np.uint32),
+        weight=np.zeros(num_users),
+        terms=UserTerms(
+            backlog_packets=np.zeros(num_users),
+            offered_mbps=constants.offered_mbps,
+            rate_sensitivity=constants.rate_sensitivity,
+            arrival_packets_per_mbps=constants.arrival_packets_per_mbps,
+            service_offset_mbps=np.zeros(num_users),
+            service_packets_per_mbps=constants.service_packets_per_mbps,
+            penalty_weight=constants.penalty_weight,
+            epsilon=constants.epsilon,
+            multiplier=np.zeros(num_users),
+            delay_exponent_per_mbps=constants.delay_exponent_per_mbps,
+            violation_share=constants.violation_share,
+        ),
+        square_error=np.zeros(constants.num_urllc),
+        allocation=allocation_scratch(num_users, num_prb),
+    )
