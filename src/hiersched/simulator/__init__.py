@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from hiersched.network.schedulers import CLASSICAL
 from hiersched.scenario.schema import Scenario
-from hiersched.simulator.kernel import draw_channels, run_slots
+from hiersched.simulator.kernel import draw_channels, run_robots, run_slots
 from hiersched.simulator.records import SlotRecord, empty_record
 from hiersched.simulator.setup import (
     Gains,
@@ -135,6 +135,30 @@ class Simulator:
             self._zeros if multipliers is None else multipliers,
             record,
         )
+        return record
+
+    def run_robots(self, network_delay_s: NDArray[np.float64]) -> SlotRecord:
+        """Run the robots alone under forced network delays, shape (E, T, R); the rest of the record stays 0.
+
+        Raises
+        ------
+        ValueError
+            On delays of another shape, negative or not finite, or slots beyond the horizon.
+        """
+        record = self.new_record(network_delay_s.shape[1])
+        if network_delay_s.shape != record.network_delay_s.shape:
+            raise ValueError(
+                f"network_delay_s: shape {network_delay_s.shape}, must be "
+                f"{record.network_delay_s.shape}"
+            )
+        if not (np.isfinite(network_delay_s).all() and (network_delay_s >= 0).all()):
+            raise ValueError("network_delay_s: must be finite and not negative")
+        if network_delay_s.shape[1] > self.slots_left:
+            raise ValueError(
+                f"network_delay_s: {network_delay_s.shape[1]} slots, at most {self.slots_left}"
+            )
+        record.network_delay_s[...] = network_delay_s
+        run_robots(self.constants, self.state, self._scratch, record)
         return record
 
     def new_record(self, num_slots: int) -> SlotRecord:

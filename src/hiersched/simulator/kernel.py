@@ -110,6 +110,22 @@ def run_slots(
 
 
 @njit(error_model="numpy")
+def run_robots(
+    constants: SlotConstants, state: SlotState, scratch: SlotScratch, record: SlotRecord
+) -> None:
+    """Run the robots alone with the network delays that stand in `record.network_delay_s`."""
+    for env in range(state.key.shape[0]):
+        for index in range(record.network_delay_s.shape[1]):
+            normals = record.robot_normal[env, index]
+            draw_normals(state.key[env], state.slot[env], scratch.normal_words, normals)
+            for robot in range(constants.num_urllc):
+                dexterity = state.robots.dexterity_index[env, robot]
+                record.dexterity_index[env, index, robot] = dexterity
+            drive_robots(constants, state, scratch, record, env, index)
+            state.slot[env] += 1
+
+
+@njit(error_model="numpy")
 def _observe(
     constants: SlotConstants,
     state: SlotState,
