@@ -54,8 +54,8 @@ def write_log(dims: LogDims) -> Callable[..., Path]:
             for start in range(0, slots, block):
                 log.write_block(start, {k: v[start : start + block] for k, v in fields.items()})
             log.event(70, "WARNING", "control", "gain for T = 12 infeasible: α² ≥ 1")
-            log.event(41, "ERROR", "network", "deadline violated")
             log.event(70, "DEBUG", "control", "second of its slot")
+            log.event(41, "ERROR", "network", "deadline violated")
         return path
 
     return write

@@ -284,6 +284,57 @@ def test_messages_that_do_not_follow_the_schema_are_refused(
             log.read("/queue")
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"slot_ns": "ten"},
+        {"slot_ns": "0"},
+        {"num_prb": "-1"},
+        {"num_prb": "8"},
+        {"profile": "short"},
+        {"schema_version": ""},
+        {"num_urllc": None},
+    ],
+)
+def test_metadata_that_make_no_sense_are_refused(
+    changes: dict[str, str | None],
+    tmp_path: Path,
+    random_fields: Any,
+    write_log: Any,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """All checksums are right."""
+    original = LogWriter._full_metadata
+
+    def bent(*arguments: Any) -> dict[str, str]:
+        metadata = {**original(*arguments), **changes}
+        return {key: value for key, value in metadata.items() if value is not None}
+
+    monkeypatch.setattr(LogWriter, "_full_metadata", bent)
+    path = write_log(tmp_path / "a.mcap", random_fields(3))
+    with pytest.raises(LogError):
+        LogReader(path)
+
+
+@pytest.mark.parametrize("place", [0, 1, 31])
+def test_events_that_make_no_sense_are_refused(
+    place: int, tmp_path: Path, dims: LogDims, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All checksums are right, but an opcode, a length or a tag is not."""
+    original = writer.encode_event
+
+    def bent(*arguments: Any) -> bytes:
+        record = bytearray(original(*arguments))
+        record[place] ^= 0x07
+        return bytes(record)
+
+    monkeypatch.setattr(writer, "encode_event", bent)
+    with LogWriter(tmp_path / "a.mcap", dims, slot_ns=SLOT_NS) as log:
+        log.event(3, "INFO", "run", "text")
+    with LogReader(tmp_path / "a.mcap") as reader, pytest.raises(LogError, match="event"):
+        reader.events()
+
+
 def test_attachment_has_a_checksum_of_its_own(log_path: Path) -> None:
     data = bytearray(log_path.read_bytes())
     data[data.index(b"name: test") + 3] ^= 1

@@ -367,14 +367,15 @@ def test_metadata_and_events_are_checked(tmp_path: Path, dims: LogDims) -> None:
 
 
 def test_many_events_fill_several_chunks(tmp_path: Path, dims: LogDims) -> None:
-    with LogWriter(tmp_path / "a.mcap", dims, slot_ns=SLOT_NS, chunk_bytes=500) as log:
-        for i in range(100):
-            log.event(99 - i, "INFO", "run", f"event {i}")
-    with LogReader(tmp_path / "a.mcap") as reader:
-        events = reader.events()
-    assert [(e.slot, e.message) for e in events] == [(99 - i, f"event {i}") for i in range(100)][
-        ::-1
-    ]
+    with LogWriter(tmp_path / "a.mcap", dims, slot_ns=SLOT_NS, chunk_bytes=500) as writer:
+        for i in range(300):
+            writer.event(299 - i, "INFO", "run", f"event {i}")
+    with LogReader(tmp_path / "a.mcap") as log:
+        events = log.events()
+    assert [(e.slot, e.message) for e in events] == [(i, f"event {299 - i}") for i in range(300)]
     with (tmp_path / "a.mcap").open("rb") as stream:
-        times = [m.log_time for *_, m in make_reader(stream).iter_messages("/events")]
-    assert times == [slot * SLOT_NS for slot in range(100)]
+        reader = make_reader(stream, decoder_factories=[DecoderFactory()])
+        decoded = [(m, e.timestamp) for *_, m, e in reader.iter_decoded_messages("/events")]
+    assert [m.log_time for m, _ in decoded] == [slot * SLOT_NS for slot in range(300)]
+    assert all(m.log_time == t.seconds * 10**9 + t.nanos for m, t in decoded)
+    assert decoded[250][1].seconds == 2
