@@ -3,6 +3,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
 from grpc_tools import protoc
@@ -17,6 +18,7 @@ from hiersched.log.schema import (
     descriptor_set,
     proto_source,
 )
+from hiersched.simulator.records import empty_record
 
 FOLDER = Path(hiersched.log.__file__).parent
 NUMPY_TYPES = {
@@ -56,6 +58,18 @@ def test_topics_table_is_the_protobuf_schema() -> None:
         for topic in TOPICS.values()
     }
     assert table == compiled
+
+
+def test_topics_table_is_the_record_of_the_simulator() -> None:
+    """`write_block` takes what the simulator hands out, without a conversion."""
+    record = empty_record(1, 2, num_users=5, num_robots=3, num_prb=7).environment(0)
+    dims = LogDims(num_urllc=3, num_embb=2, num_prb=7)
+    table = {
+        field.name: (np.dtype(field.dtype), (2, *field.concrete_shape(dims)))
+        for topic in TOPICS.values()
+        for field in topic.fields[1:]
+    }
+    assert {name: (values.dtype, values.shape) for name, values in record.items()} == table
 
 
 def test_field_names_are_unique_over_all_topics() -> None:

@@ -311,7 +311,7 @@ def test_wrong_shapes_and_names_are_refused(
             r"state has shape \(3, 3, 5\); allowed: \(4, 3, 5\)",
         ),
         ({**good, "fading_power": good["fading_power"][:, :, :6]}, r"allowed: \(4, 5, 7\)"),
-        ({**good, "multiplier": good["multiplier"][:, None]}, r"multiplier has shape \(4, 1\)"),
+        ({**good, "drift_embb": good["drift_embb"][:, None]}, r"drift_embb has shape \(4, 1\)"),
         ({**good, "constraint": 1.0}, r"constraint has shape \(\)"),
         (without, r"missing: \['state'\]"),
         ({**good, "speed": good["state"]}, r"unknown to the log: \['speed'\]"),
