@@ -67,17 +67,20 @@ def log2_f64(x: float) -> float:
 
 @njit(inline="always")
 def wrap_angle(x: float) -> float:
-    """Angle in rad brought into [-pi, pi)."""
-    return x - 6.283185307179586 * np.floor((x + 3.141592653589793) * 0.15915494309189535)
+    """Angle in rad brought into [-pi, pi), for |x| below 3 pi."""
+    if x >= np.pi:
+        return x - 2.0 * np.pi
+    if x < -np.pi:
+        return x + 2.0 * np.pi
+    return x
 
 
 @njit(inline="always")
 def sin_half(x: float) -> float:
-    """sin(x / 2) for |x| <= pi; error below 1e-11 (Taylor series to the 15th power)."""
+    """sin(x / 2) for |x| <= pi; error below 1e-9 (Taylor series to the 13th power)."""
     h = 0.5 * x
     z = h * h
-    p = -7.647163731819816e-13
-    p = p * z + 1.6059043836821613e-10
+    p = 1.6059043836821613e-10
     p = p * z - 2.505210838544172e-08
     p = p * z + 2.7557319223985893e-06
     p = p * z - 0.0001984126984126984
@@ -88,11 +91,10 @@ def sin_half(x: float) -> float:
 
 @njit(inline="always")
 def cos_half(x: float) -> float:
-    """cos(x / 2) for |x| <= pi; error below 1e-11 (Taylor series to the 16th power)."""
+    """cos(x / 2) for |x| <= pi; error below 1e-9 (Taylor series to the 14th power)."""
     h = 0.5 * x
     z = h * h
-    p = 4.779477332387385e-14
-    p = p * z - 1.1470745597729725e-11
+    p = -1.1470745597729725e-11
     p = p * z + 2.08767569878681e-09
     p = p * z - 2.755731922398589e-07
     p = p * z + 2.48015873015873e-05

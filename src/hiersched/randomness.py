@@ -124,29 +124,36 @@ def draw_exponentials(
 
 @njit(error_model="numpy")
 def draw_normals(
-    key: np.uint64, slot: int, words: NDArray[np.uint32], out: NDArray[np.float32]
+    key: np.uint64,
+    slot: int,
+    words: NDArray[np.uint32],
+    normals: NDArray[np.float64],
+    out: NDArray[np.float32],
 ) -> None:
     """Fill `out` (R, 5) with standard normals of the robot stream (Box-Muller, rounded to float32).
 
-    `words` (R, 8) is scratch.
+    `words` (8, R) and `normals` (6, R) are scratch.
     """
     k0 = uint32(key)
     k1 = uint32(key >> _S32)
-    for robot in range(out.shape[0]):
-        for half in range(2):
+    num_robots = out.shape[0]
+    for half in range(2):
+        for robot in range(num_robots):
             a, b, c, d = philox4x32(
                 uint32(half), uint32(robot), uint32(slot), STREAM_ROBOT, k0, k1
             )
-            words[robot, 4 * half] = a
-            words[robot, 4 * half + 1] = b
-            words[robot, 4 * half + 2] = c
-            words[robot, 4 * half + 3] = d
-    for robot in range(out.shape[0]):
-        for pair in range(3):
-            radius = np.sqrt(-2.0 * np.float64(ln_f32(unit_f32(words[robot, 2 * pair]))))
-            angle = 6.283185307179586 * np.float64(unit_f32(words[robot, 2 * pair + 1])) - np.pi
+            words[4 * half, robot] = a
+            words[4 * half + 1, robot] = b
+            words[4 * half + 2, robot] = c
+            words[4 * half + 3, robot] = d
+    for pair in range(3):
+        for robot in range(num_robots):
+            radius = np.sqrt(-2.0 * np.float64(ln_f32(unit_f32(words[2 * pair, robot]))))
+            angle = 6.283185307179586 * np.float64(unit_f32(words[2 * pair + 1, robot])) - np.pi
             s = sin_half(angle)
             c = cos_half(angle)
-            out[robot, 2 * pair] = F32(radius * (1.0 - 2.0 * s * s))
-            if pair < 2:
-                out[robot, 2 * pair + 1] = F32(radius * 2.0 * s * c)
+            normals[2 * pair, robot] = radius * (1.0 - 2.0 * s * s)
+            normals[2 * pair + 1, robot] = radius * 2.0 * s * c
+    for robot in range(num_robots):
+        for i in range(5):
+            out[robot, i] = F32(normals[i, robot])

@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from hiersched.network.lyapunov import UserTerms, user_lagrangian
-from hiersched.numerics import ln_f32
+from hiersched.numerics import F32, ln_f32
 
 UTILITY_LOG = 0
 UTILITY_LINEAR = 1
@@ -22,6 +22,8 @@ UTILITY_LAGRANGIAN = 2
 _INDEX_BITS = np.int64(1023)
 _VALUE_BITS = ~_INDEX_BITS
 _FAR = 1e300
+_NO_NAN = {"nnan", "nsz"}
+"""Lets the compiler vectorise minima and maxima; without NaN the bits do not change."""
 
 
 class AllocationScratch(NamedTuple):
@@ -75,7 +77,7 @@ def allocation_scratch(num_users: int, num_prb: int) -> AllocationScratch:
         user_rate=np.zeros(num_users),
         free_prb=np.zeros(num_prb, np.int64),
         order=np.zeros(num_users, np.int64),
-        gain=np.zeros((num_prb, num_users)),
+        gain=np.zeros(num_users * num_prb),
     )
 
 
@@ -159,6 +161,15 @@ def assign_one_each(scratch: AllocationScratch) -> None:
                 break
 
 
+@njit(error_model="numpy", fastmath=_NO_NAN)
+def _subtract_least(row: NDArray[np.float64], count: int) -> None:
+    least = row[0]
+    for k in range(count):
+        least = min(least, row[k])
+    for k in range(count):
+        row[k] -= least
+
+
 @njit(error_model="numpy")
 def _first_costs(
     utility: int,
@@ -182,27 +193,37 @@ def _first_costs(
         else:
             for k in range(num_prb):
                 row[k] = user_lagrangian(terms, user, np.float64(rates[k]))
-        least = row[0]
-        for k in range(1, num_prb):
-            least = min(least, row[k])
-        for k in range(num_prb):
-            row[k] -= least
+        _subtract_least(row, num_prb)
 
 
 @njit(inline="always")
 def _marginal(
     utility: int,
     user: int,
-    rate: float,
+    rate: np.float32,
     have: float,
-    weight: NDArray[np.float64],
+    weight: float,
     terms: UserTerms,
 ) -> float:
+    """What a user's utility gains from one more PRB of the given rate."""
     if utility == UTILITY_LOG:
-        return weight[user] * np.float64(ln_f32(np.float32(1.0 + rate / have)))
+        return weight * np.float64(ln_f32(F32(1.0) + rate / F32(have)))
     if utility == UTILITY_LINEAR:
-        return weight[user] * rate
-    return user_lagrangian(terms, user, have) - user_lagrangian(terms, user, have + rate)
+        return weight * np.float64(rate)
+    after = user_lagrangian(terms, user, have + np.float64(rate))
+    return user_lagrangian(terms, user, have) - after
+
+
+@njit(error_model="numpy", fastmath=_NO_NAN)
+def _greatest(gain: NDArray[np.float64], count: int) -> int:
+    """Place of the greatest of gain[:count]; the first of equal ones."""
+    best = gain[0]
+    for i in range(count):
+        best = max(best, gain[i])
+    place = 0
+    while gain[place] != best:
+        place += 1
+    return place
 
 
 @njit(error_model="numpy")
@@ -246,31 +267,35 @@ def allocate_by_utility(
             scratch.free_prb[num_free] = k
             num_free += 1
     gain = scratch.gain
-    for i in range(num_free):
-        k = scratch.free_prb[i]
-        for user in range(num_users):
-            gain[i, user] = _marginal(utility, user, rate[user, k], have[user], weight, terms)
-    for left in range(num_free, 0, -1):
-        best_i = 0
-        best_user = 0
-        best = gain[0, 0]
-        for i in range(left):
+    free_prb = scratch.free_prb
+    if utility == UTILITY_LOG:
+        for i in range(num_free):
             for user in range(num_users):
-                if gain[i, user] > best:
-                    best = gain[i, user]
-                    best_i = i
-                    best_user = user
-        k = scratch.free_prb[best_i]
-        owner[k] = best_user
-        have[best_user] += rate[best_user, k]
+                more = _marginal(
+                    UTILITY_LOG, user, rate[user, free_prb[i]], have[user], weight[user], terms
+                )
+                gain[i * num_users + user] = more
+    else:
+        for i in range(num_free):
+            for user in range(num_users):
+                more = _marginal(
+                    utility, user, rate[user, free_prb[i]], have[user], weight[user], terms
+                )
+                gain[i * num_users + user] = more
+    for left in range(num_free - 1, -1, -1):
+        place = _greatest(gain, (left + 1) * num_users)
+        i = place // num_users
+        user = place - i * num_users
+        k = free_prb[i]
+        owner[k] = user
+        have[user] += np.float64(rate[user, k])
         # The last free PRB takes the place of the one just given.
-        scratch.free_prb[best_i] = scratch.free_prb[left - 1]
-        for user in range(num_users):
-            gain[best_i, user] = gain[left - 1, user]
-        for i in range(left - 1):
-            k = scratch.free_prb[i]
-            gain[i, best_user] = _marginal(
-                utility, best_user, rate[best_user, k], have[best_user], weight, terms
+        free_prb[i] = free_prb[left]
+        for other in range(num_users):
+            gain[i * num_users + other] = gain[left * num_users + other]
+        for j in range(left):
+            gain[j * num_users + user] = _marginal(
+                utility, user, rate[user, free_prb[j]], have[user], weight[user], terms
             )
 
 

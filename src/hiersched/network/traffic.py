@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit
 
 MAX_MEAN = 600.0
 """Largest mean of `poisson_quantile`: exp(-mean) must stay a normal double."""
+
+
+# Far beyond the largest k that a double in (0, 1) can reach at MAX_MEAN.
+_RECIPROCAL = np.concatenate([[0.0], 1.0 / np.arange(1, 4096)])
 
 
 @njit(error_model="numpy")
@@ -18,7 +23,7 @@ def poisson_quantile(uniform: float, mean: float) -> int:
     k = 0
     while cumulative < uniform:
         k += 1
-        term *= mean / k
+        term *= mean * _RECIPROCAL[k]
         if term < 1e-320 and k > mean:
             # Far in the tail the sum has rounded below the uniform: no later term can change it.
             break

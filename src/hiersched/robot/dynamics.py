@@ -1,7 +1,7 @@
 """The nonlinear robot in the frame of its reference, with slip, saturation and a delayed loop.
 
 State x = (e_x, e_y, e_theta, dv, dw): position and heading error in the reference's frame, departure of speed and turn
-rate from the reference. Arrays keep the robots in the last axis: the compiler turns loops over robots into vectors.
+rate from the reference.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ class RobotConstants(NamedTuple):
 
 
 class RobotState(NamedTuple):
-    """What evolves, one row an environment: state (E, 5, R), slip (E, 2, R), control (E, 2, R), the ring of measured
-    states `history` (E, T_max + 1, 5, R), sums over the window (E, 3, R) and the dexterity index in force (E, R)."""
+    """What evolves, one row an environment: state (E, R, 5), slip (E, R, 2), control (E, R, 2), the ring of measured
+    states `history` (E, R, T_max + 1, 5), sums over the window (E, R, 3) and the dexterity index in force (E, R)."""
 
     state: NDArray[np.float64]
     slip: NDArray[np.float64]
@@ -71,11 +71,11 @@ def robot_state(
 ) -> RobotState:
     """Robots at rest on their reference."""
     return RobotState(
-        state=np.zeros((num_envs, NUM_STATES, num_robots)),
-        slip=np.zeros((num_envs, 2, num_robots)),
-        control=np.zeros((num_envs, NUM_INPUTS, num_robots)),
-        history=np.zeros((num_envs, max_delay_steps + 1, NUM_STATES, num_robots)),
-        window_sums=np.zeros((num_envs, 3, num_robots)),
+        state=np.zeros((num_envs, num_robots, NUM_STATES)),
+        slip=np.zeros((num_envs, num_robots, 2)),
+        control=np.zeros((num_envs, num_robots, NUM_INPUTS)),
+        history=np.zeros((num_envs, num_robots, max_delay_steps + 1, NUM_STATES)),
+        window_sums=np.zeros((num_envs, num_robots, 3)),
         dexterity_index=np.full((num_envs, num_robots), initial_dexterity_index),
     )
 
@@ -90,14 +90,13 @@ def steps_of_delay(delay_s: float, sampling_s: float) -> int:
 def close_loop(
     constants: RobotConstants,
     sample: int,
-    delay_steps: NDArray[np.uint32],
+    delay_steps: int,
     normals: NDArray[np.float32],
     state: NDArray[np.float64],
     history: NDArray[np.float64],
     control: NDArray[np.float64],
-    saturated: NDArray[np.uint32],
-) -> None:
-    """Measure, and set the control u(k) = -K_local x(k) - K_network x(k - T_d) with the gains of T_d.
+) -> int:
+    """Measure one robot, and set its control u(k) = -K_local x(k) - K_network x(k - T_d) with the gains of T_d.
 
     Parameters
     ----------
@@ -106,106 +105,95 @@ def close_loop(
     sample
         Index k of the control sample. Before the first sample the robot stood on its reference.
     delay_steps
-        T_d of each robot, at most `constants.max_delay_steps`, shape (R,).
+        T_d, at most `constants.max_delay_steps`.
     normals
-        Standard normals, shape (R, 5); the last three are the measurement noise.
+        Standard normals, shape (5,); the last three are the measurement noise.
     state, history, control
-        Shapes (5, R), (T_max + 1, 5, R) and (2, R); the latter two are written.
-    saturated
-        Counts the samples at which a command met its limit, shape (R,).
+        Shapes (5,), (T_max + 1, 5) and (2,); the latter two are written.
+
+    Returns
+    -------
+    int
+        1 if a command met its limit, else 0.
     """
     ring = constants.max_delay_steps + 1
-    now = sample % ring
-    num_robots = state.shape[1]
-    for robot in range(num_robots):
-        history[now, 0, robot] = (
-            state[0, robot] + constants.noise_position_m * normals[robot, 2]
-        )
-        history[now, 1, robot] = (
-            state[1, robot] + constants.noise_position_m * normals[robot, 3]
-        )
-        history[now, 2, robot] = (
-            state[2, robot] + constants.noise_heading_rad * normals[robot, 4]
-        )
-        history[now, 3, robot] = state[3, robot]
-        history[now, 4, robot] = state[4, robot]
-    for robot in range(num_robots):
-        steps = delay_steps[robot]
-        past = (sample - steps) % ring
-        for i in range(NUM_INPUTS):
-            command = 0.0
-            for j in range(NUM_STATES):
-                command -= constants.network_gain[steps, i, j] * history[past, j, robot]
-                command -= constants.local_gain[steps, i, j] * history[now, j, robot]
-            limit = constants.max_speed_mps if i == 0 else constants.max_turn_rate_radps
-            if abs(command) > limit:
-                command = limit if command > 0.0 else -limit
-                saturated[robot] += 1
-            control[i, robot] = command
+    now = history[sample % ring]
+    now[0] = state[0] + constants.noise_position_m * normals[2]
+    now[1] = state[1] + constants.noise_position_m * normals[3]
+    now[2] = state[2] + constants.noise_heading_rad * normals[4]
+    now[3] = state[3]
+    now[4] = state[4]
+    past = history[(sample - delay_steps) % ring]
+    saturated = 0
+    for i in range(NUM_INPUTS):
+        network = constants.network_gain[delay_steps, i]
+        local = constants.local_gain[delay_steps, i]
+        command = 0.0
+        for j in range(NUM_STATES):
+            command -= network[j] * past[j] + local[j] * now[j]
+        limit = constants.max_speed_mps if i == 0 else constants.max_turn_rate_radps
+        if abs(command) > limit:
+            command = limit if command > 0.0 else -limit
+            saturated = 1
+        control[i] = command
+    return saturated
 
 
 @njit(error_model="numpy")
 def move_step(
     constants: RobotConstants,
-    step: int,
+    place: int,
     slip: NDArray[np.float64],
     control: NDArray[np.float64],
     state: NDArray[np.float64],
     sums: NDArray[np.float64],
-    square_error: NDArray[np.float64],
-) -> None:
-    """One integration step of all robots of an environment.
-
-    Midpoint rule in heading, exact in the actuator lag and in the rotation of the reference's frame.
+) -> float:
+    """One integration step of one robot: midpoint rule in heading, exact in actuator lag and rotation of the frame.
 
     Parameters
     ----------
     constants
         Reference and actuators.
-    step
-        Index of the integration step.
+    place
+        Step within the reference.
     slip, control
-        Slip (2, R) in m/s and rad/s, command (2, R).
+        Slip in m/s and rad/s, command, shape (2,) each.
     state
-        Shape (5, R), in place.
+        Shape (5,), in place.
     sums
-        Window sums of squared position error, absolute heading error and curvature, shape (3, R), in place.
-    square_error
-        Sum of the squared position error over the slot, shape (R,), in place, m².
+        Window sums of squared position error, absolute heading error and curvature, shape (3,), in place.
+
+    Returns
+    -------
+    float
+        Squared position error at the end of the step, m².
     """
     dt = constants.step_s
-    decay = constants.lag_decay
-    mean = constants.lag_mean
-    speed = constants.speed_mps
-    for robot in range(state.shape[1]):
-        place = constants.offset[robot] + step
-        turn_rate = constants.turn_rate[place]
-        c = constants.half_cos[place]
-        s = constants.half_sin[place]
-        dv = state[3, robot]
-        dw = state[4, robot]
-        dv_mean = control[0, robot] + (dv - control[0, robot]) * mean
-        dw_mean = control[1, robot] + (dw - control[1, robot]) * mean
-        velocity = speed + dv_mean + slip[0, robot]
-        turn_error = dw_mean + slip[1, robot]
-        middle = wrap_angle(state[2, robot] + 0.5 * dt * turn_error)
-        half_sine = sin_half(middle)
-        half_cosine = cos_half(middle)
-        forward = velocity * dt * (1.0 - 2.0 * half_sine * half_sine)
-        sideways = velocity * dt * (2.0 * half_sine * half_cosine)
-        # Half a turn of the reference's frame, the displacement in it, the other half.
-        x = c * state[0, robot] + s * state[1, robot] + forward - constants.chord[place]
-        y = c * state[1, robot] - s * state[0, robot] + sideways
-        e_x = c * x + s * y
-        e_y = c * y - s * x
-        e_theta = wrap_angle(state[2, robot] + dt * turn_error)
-        state[0, robot] = e_x
-        state[1, robot] = e_y
-        state[2, robot] = e_theta
-        state[3, robot] = control[0, robot] + (dv - control[0, robot]) * decay
-        state[4, robot] = control[1, robot] + (dw - control[1, robot]) * decay
-        square = e_x * e_x + e_y * e_y
-        square_error[robot] += square
-        sums[0, robot] += square
-        sums[1, robot] += abs(e_theta)
-        sums[2, robot] += abs(turn_rate + turn_error) / max(abs(velocity), MIN_SPEED_MPS)
+    turn_rate = constants.turn_rate[place]
+    c = constants.half_cos[place]
+    s = constants.half_sin[place]
+    dv = state[3] - control[0]
+    dw = state[4] - control[1]
+    velocity = constants.speed_mps + control[0] + dv * constants.lag_mean + slip[0]
+    turn_error = control[1] + dw * constants.lag_mean + slip[1]
+    middle = wrap_angle(state[2] + 0.5 * dt * turn_error)
+    half_sine = sin_half(middle)
+    half_cosine = cos_half(middle)
+    forward = velocity * dt * (1.0 - 2.0 * half_sine * half_sine)
+    sideways = velocity * dt * (2.0 * half_sine * half_cosine)
+    # Half a turn of the reference's frame, the displacement in it, the other half.
+    x = c * state[0] + s * state[1] + forward - constants.chord[place]
+    y = c * state[1] - s * state[0] + sideways
+    e_x = c * x + s * y
+    e_y = c * y - s * x
+    e_theta = wrap_angle(state[2] + dt * turn_error)
+    state[0] = e_x
+    state[1] = e_y
+    state[2] = e_theta
+    state[3] = control[0] + dv * constants.lag_decay
+    state[4] = control[1] + dw * constants.lag_decay
+    square = e_x * e_x + e_y * e_y
+    sums[0] += square
+    sums[1] += abs(e_theta)
+    sums[2] += abs(turn_rate + turn_error) / max(abs(velocity), MIN_SPEED_MPS)
+    return square

@@ -81,9 +81,9 @@ class SlotScratch(NamedTuple):
 
     words: NDArray[np.uint32]
     normal_words: NDArray[np.uint32]
+    normals: NDArray[np.float64]
     weight: NDArray[np.float64]
     terms: UserTerms
-    square_error: NDArray[np.float64]
     allocation: AllocationScratch
 
 
@@ -281,7 +281,8 @@ def slot_scratch(constants: SlotConstants) -> SlotScratch:
     num_prb = constants.num_prb
     return SlotScratch(
         words=np.zeros((4, (num_users * num_prb + 3) // 4), np.uint32),
-        normal_words=np.zeros((constants.num_urllc, 8), np.uint32),
+        normal_words=np.zeros((8, constants.num_urllc), np.uint32),
+        normals=np.zeros((6, constants.num_urllc)),
         weight=np.zeros(num_users),
         terms=UserTerms(
             backlog_packets=np.zeros(num_users),
@@ -296,6 +297,5 @@ def slot_scratch(constants: SlotConstants) -> SlotScratch:
             delay_exponent_per_mbps=constants.delay_exponent_per_mbps,
             violation_share=constants.violation_share,
         ),
-        square_error=np.zeros(constants.num_urllc),
         allocation=allocation_scratch(num_users, num_prb),
     )
