@@ -14,13 +14,12 @@ from hiersched.control import krasovskii, razumikhin, razumikhin_synthesis
 from hiersched.control.certificate import Certificate, Witness, certify
 from hiersched.control.checks import FloatArray, as_delay_steps
 from hiersched.control.plant import DelayedPlant
+from hiersched.control.schedule import DEFAULT_DECAY_RATE
 
 logger = logging.getLogger(__name__)
 
 Method = Literal["krasovskii", "razumikhin"]
 Status = Literal["nominal", "adjusted", "infeasible"]
-
-DEFAULT_DECAY_RATE = 0.02
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -26,6 +26,9 @@ logger = logging.getLogger(__name__)
 DESIGN_VERSION = 1
 """Part of the cache key: raise it when the design algorithm changes its results."""
 
+DEFAULT_DECAY_RATE = 0.02
+"""Decay of V per sample that C1 certifies where nothing else is asked."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GainSchedule:
@@ -201,7 +204,7 @@ def build_schedule(
     max_delay_steps: int,
     method: Method = "krasovskii",
     *,
-    decay_rate: float = 0.02,
+    decay_rate: float = DEFAULT_DECAY_RATE,
 ) -> GainSchedule:
     """Design the gain of every delay 0..T_max; each is the one `design_gain` returns.
 
@@ -258,7 +261,7 @@ def load_or_build(
     max_delay_steps: int,
     method: Method = "krasovskii",
     *,
-    decay_rate: float = 0.02,
+    decay_rate: float = DEFAULT_DECAY_RATE,
 ) -> GainSchedule:
     """Return the schedule cached at `path` if it is this design's, else build and store it.
 
