@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit, uint32, uint64
 from numpy.typing import NDArray
 
+from hiersched.compiled import kernel
 from hiersched.numerics import F32, cos_half, ln_f32, sin_half
 
 STREAM_FADING = np.uint32(0)
@@ -81,7 +82,7 @@ def unit_f64(high: np.uint32, low: np.uint32) -> float:
     return (np.float64(bits) + 0.5) * 2.0**-52
 
 
-@njit(error_model="numpy")
+@kernel()
 def draw_uniforms(
     key: np.uint64, stream: np.uint32, slot: int, lane: int, out: NDArray[np.float64]
 ) -> None:
@@ -93,7 +94,7 @@ def draw_uniforms(
         out[i] = unit_f64(a, b)
 
 
-@njit(error_model="numpy")
+@kernel()
 def draw_exponentials(
     key: np.uint64,
     slot: int,
@@ -122,7 +123,7 @@ def draw_exponentials(
         out[i] = -ln_f32(unit_f32(flat[i])) * scale
 
 
-@njit(error_model="numpy")
+@kernel()
 def draw_normals(
     key: np.uint64,
     slot: int,
@@ -132,28 +133,27 @@ def draw_normals(
 ) -> None:
     """Fill `out` (R, 5) with standard normals of the robot stream (Box-Muller, rounded to float32).
 
-    `words` (8, R) and `normals` (6, R) are scratch.
+    Normal j of robot r is element j*R + r of 6 R normals; elements i and 3 R + i come from words i and 3 R + i, word
+    `lane` of block b being number lane*B + b of B = ceil(6 R / 4) blocks. `words` (4, B) and `normals` (6 R,) are scratch.
     """
     k0 = uint32(key)
     k1 = uint32(key >> _S32)
     num_robots = out.shape[0]
-    for half in range(2):
-        for robot in range(num_robots):
-            a, b, c, d = philox4x32(
-                uint32(half), uint32(robot), uint32(slot), STREAM_ROBOT, k0, k1
-            )
-            words[4 * half, robot] = a
-            words[4 * half + 1, robot] = b
-            words[4 * half + 2, robot] = c
-            words[4 * half + 3, robot] = d
-    for pair in range(3):
-        for robot in range(num_robots):
-            radius = np.sqrt(-2.0 * np.float64(ln_f32(unit_f32(words[2 * pair, robot]))))
-            angle = 6.283185307179586 * np.float64(unit_f32(words[2 * pair + 1, robot])) - np.pi
-            s = sin_half(angle)
-            c = cos_half(angle)
-            normals[2 * pair, robot] = radius * (1.0 - 2.0 * s * s)
-            normals[2 * pair + 1, robot] = radius * 2.0 * s * c
+    for i in range(words.shape[1]):
+        a, b, c, d = philox4x32(uint32(i), uint32(0), uint32(slot), STREAM_ROBOT, k0, k1)
+        words[0, i] = a
+        words[1, i] = b
+        words[2, i] = c
+        words[3, i] = d
+    flat = words.reshape(-1)
+    half = 3 * num_robots
+    for i in range(half):
+        radius = np.sqrt(-2.0 * np.float64(ln_f32(unit_f32(flat[i]))))
+        angle = 6.283185307179586 * np.float64(unit_f32(flat[half + i])) - np.pi
+        s = sin_half(angle)
+        c = cos_half(angle)
+        normals[i] = radius * (1.0 - 2.0 * s * s)
+        normals[half + i] = radius * 2.0 * s * c
     for robot in range(num_robots):
-        for i in range(5):
-            out[robot, i] = F32(normals[i, robot])
+        for j in range(5):
+            out[robot, j] = F32(normals[j * num_robots + robot])

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiersched.compiled import kernel
 from hiersched.network.lyapunov import UserTerms, user_lagrangian
 from hiersched.numerics import F32, ln_f32
 
@@ -45,6 +46,8 @@ class AllocationScratch(NamedTuple):
     free_prb: NDArray[np.int64]
     order: NDArray[np.int64]
     gain: NDArray[np.float64]
+    ratio: NDArray[np.float32]
+    log_rate: NDArray[np.float32]
 
 
 def allocation_scratch(num_users: int, num_prb: int) -> AllocationScratch:
@@ -78,6 +81,8 @@ def allocation_scratch(num_users: int, num_prb: int) -> AllocationScratch:
         free_prb=np.zeros(num_prb, np.int64),
         order=np.zeros(num_users, np.int64),
         gain=np.zeros(num_users * num_prb),
+        ratio=np.zeros(num_users * num_prb, np.float32),
+        log_rate=np.zeros((num_users, num_prb), np.float32),
     )
 
 
@@ -94,7 +99,7 @@ def _least(bits: NDArray[np.int64], count: int) -> int:
     return key & _INDEX_BITS
 
 
-@njit(error_model="numpy")
+@kernel()
 def assign_one_each(scratch: AllocationScratch) -> None:
     """Give every user exactly one PRB at least total cost; results in `prb_of_user` and `user_of_prb` (-1: free).
 
@@ -161,7 +166,7 @@ def assign_one_each(scratch: AllocationScratch) -> None:
                 break
 
 
-@njit(error_model="numpy", fastmath=_NO_NAN)
+@kernel(fastmath=_NO_NAN)
 def _subtract_least(row: NDArray[np.float64], count: int) -> None:
     least = row[0]
     for k in range(count):
@@ -170,23 +175,31 @@ def _subtract_least(row: NDArray[np.float64], count: int) -> None:
         row[k] -= least
 
 
-@njit(error_model="numpy")
+@kernel()
 def _first_costs(
     utility: int,
     rate: NDArray[np.float32],
     weight: NDArray[np.float64],
     terms: UserTerms,
+    log_rate: NDArray[np.float32],
     cost: NDArray[np.float64],
 ) -> None:
     """Cost of each (user, PRB) as a user's only PRB: the utility lost against the user's best one."""
     num_users, num_prb = rate.shape
+    if utility == UTILITY_LOG:
+        # One flat loop: rows are too short for full vectors.
+        flat = rate.reshape(-1)
+        flat_log = log_rate.reshape(-1)
+        for i in range(flat.shape[0]):
+            flat_log[i] = ln_f32(flat[i])
     for user in range(num_users):
         row = cost[user]
         rates = rate[user]
         w = weight[user]
         if utility == UTILITY_LOG:
+            logs = log_rate[user]
             for k in range(num_prb):
-                row[k] = -w * np.float64(ln_f32(rates[k]))
+                row[k] = -w * np.float64(logs[k])
         elif utility == UTILITY_LINEAR:
             for k in range(num_prb):
                 row[k] = -w * np.float64(rates[k])
@@ -214,19 +227,19 @@ def _marginal(
     return user_lagrangian(terms, user, have) - after
 
 
-@njit(error_model="numpy", fastmath=_NO_NAN)
+@kernel(fastmath=_NO_NAN)
 def _greatest(gain: NDArray[np.float64], count: int) -> int:
     """Place of the greatest of gain[:count]; the first of equal ones."""
     best = gain[0]
     for i in range(count):
         best = max(best, gain[i])
-    place = 0
-    while gain[place] != best:
-        place += 1
+    place = np.int64(count)
+    for i in range(count):
+        place = min(place, i if gain[i] == best else count)
     return place
 
 
-@njit(error_model="numpy")
+@kernel()
 def allocate_by_utility(
     utility: int,
     rate: NDArray[np.float32],
@@ -254,7 +267,7 @@ def allocate_by_utility(
         Result: user of each PRB, shape (K,).
     """
     num_users, num_prb = rate.shape
-    _first_costs(utility, rate, weight, terms, scratch.cost)
+    _first_costs(utility, rate, weight, terms, scratch.log_rate, scratch.cost)
     assign_one_each(scratch)
     have = scratch.user_rate
     for user in range(num_users):
@@ -269,19 +282,23 @@ def allocate_by_utility(
     gain = scratch.gain
     free_prb = scratch.free_prb
     if utility == UTILITY_LOG:
+        ratio = scratch.ratio
+        for i in range(num_free):
+            k = free_prb[i]
+            for user in range(num_users):
+                ratio[i * num_users + user] = F32(1.0) + rate[user, k] / F32(have[user])
+        for i in range(num_free * num_users):
+            gain[i] = np.float64(ln_f32(ratio[i]))
         for i in range(num_free):
             for user in range(num_users):
-                more = _marginal(
-                    UTILITY_LOG, user, rate[user, free_prb[i]], have[user], weight[user], terms
-                )
-                gain[i * num_users + user] = more
+                gain[i * num_users + user] *= weight[user]
     else:
         for i in range(num_free):
+            k = free_prb[i]
             for user in range(num_users):
-                more = _marginal(
-                    utility, user, rate[user, free_prb[i]], have[user], weight[user], terms
+                gain[i * num_users + user] = _marginal(
+                    utility, user, rate[user, k], have[user], weight[user], terms
                 )
-                gain[i * num_users + user] = more
     for left in range(num_free - 1, -1, -1):
         place = _greatest(gain, (left + 1) * num_users)
         i = place // num_users
@@ -299,7 +316,7 @@ def allocate_by_utility(
             )
 
 
-@njit(error_model="numpy")
+@kernel()
 def allocate_by_urgency(
     rate: NDArray[np.float32],
     urgency: NDArray[np.float64],
@@ -347,7 +364,7 @@ def allocate_by_urgency(
         place += 1
 
 
-@njit(error_model="numpy")
+@kernel()
 def _take_best(
     user: int,
     rate: NDArray[np.float32],
@@ -365,7 +382,7 @@ def _take_best(
     return 1
 
 
-@njit(error_model="numpy")
+@kernel()
 def allocate_in_turn(
     slot: int, num_users: int, num_prb: int, owner: NDArray[np.uint32]
 ) -> None:

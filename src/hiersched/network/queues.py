@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+from hiersched.compiled import kernel
 from numpy.typing import NDArray
 
 
-@njit(error_model="numpy")
+@kernel()
 def serve_slot(
     slot: int,
     backlog: float,

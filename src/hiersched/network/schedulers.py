@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiersched.compiled import kernel
 from hiersched.network.allocation import (
     UTILITY_LAGRANGIAN,
     UTILITY_LINEAR,
@@ -52,6 +53,11 @@ CLASSICAL = {
 """Code of every classical scheduler by its name in YAML; `pf` is the weighted PF with all weights 1."""
 
 
+_UTILITY_OF = np.full(len(CLASSICAL), UTILITY_LINEAR)
+_UTILITY_OF[WEIGHTED_PF] = UTILITY_LOG
+_UTILITY_OF[DRIFT_PLUS_PENALTY] = UTILITY_LAGRANGIAN
+
+
 class SchedulerConstants(NamedTuple):
     """Constants of the rules: each user's deadline (U,) in s and admitted late share (U,), and the log rule's c and a D."""
 
@@ -62,7 +68,7 @@ class SchedulerConstants(NamedTuple):
     log_rule_gain: float
 
 
-@njit(error_model="numpy")
+@kernel()
 def index_weights(
     scheduler: int,
     backlog_packets: NDArray[np.float64],
@@ -97,7 +103,7 @@ def index_weights(
             )
 
 
-@njit(error_model="numpy")
+@kernel()
 def _exp_pf_weights(
     hol_delay_s: NDArray[np.float64],
     average_rate_mbps: NDArray[np.float64],
@@ -121,7 +127,7 @@ def _exp_pf_weights(
         weight[user] = math.exp(exponent - largest) / average_rate_mbps[user]
 
 
-@njit(error_model="numpy")
+@kernel()
 def schedule_slot(
     scheduler: int,
     slot: int,
@@ -158,30 +164,24 @@ def schedule_slot(
     owner
         Result: user of each PRB, shape (K,).
     """
-    if scheduler == WEIGHTED_PF:
-        allocate_by_utility(UTILITY_LOG, rate, given_weight, terms, scratch, owner)
-    elif scheduler == DRIFT_PLUS_PENALTY:
-        allocate_by_utility(UTILITY_LAGRANGIAN, rate, given_weight, terms, scratch, owner)
-    elif scheduler == ROUND_ROBIN:
+    if scheduler == ROUND_ROBIN:
         allocate_in_turn(slot, rate.shape[0], rate.shape[1], owner)
     elif scheduler == EDF:
         need = scratch.row_price
         for user in range(rate.shape[0]):
             weight[user] = hol_delay_s[user] - constants.deadline_s[user]
-            need[user] = (
-                terms.backlog_packets[user] / terms.service_packets_per_mbps
-                + terms.service_offset_mbps[user]
-            )
-            if terms.backlog_packets[user] == 0.0:
-                need[user] = 0.0
+            backlog = terms.backlog_packets[user]
+            need[user] = backlog / terms.service_packets_per_mbps
+            if backlog > 0.0:
+                need[user] += terms.service_offset_mbps[user]
         allocate_by_urgency(rate, weight, need, scratch, owner)
     else:
-        index_weights(
-            scheduler,
-            terms.backlog_packets,
-            hol_delay_s,
-            average_rate_mbps,
-            constants,
-            weight,
-        )
-        allocate_by_utility(UTILITY_LINEAR, rate, weight, terms, scratch, owner)
+        if scheduler == WEIGHTED_PF or scheduler == DRIFT_PLUS_PENALTY:
+            for user in range(rate.shape[0]):
+                weight[user] = given_weight[user]
+        else:
+            index_weights(
+                scheduler, terms.backlog_packets, hol_delay_s, average_rate_mbps, constants, weight
+            )
+        # Looked up, not branched on: the compiler would otherwise build the allocator once for each constant.
+        allocate_by_utility(_UTILITY_OF[scheduler], rate, weight, terms, scratch, owner)

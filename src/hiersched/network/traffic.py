@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+from hiersched.compiled import kernel
 
 MAX_MEAN = 600.0
 """Largest mean of `poisson_quantile`: exp(-mean) must stay a normal double."""
@@ -15,7 +15,7 @@ MAX_MEAN = 600.0
 _RECIPROCAL = np.concatenate([[0.0], 1.0 / np.arange(1, 4096)])
 
 
-@njit(error_model="numpy")
+@kernel()
 def poisson_quantile(uniform: float, mean: float) -> int:
     """Least k whose Poisson distribution function at `mean` reaches `uniform` (0 < uniform < 1, mean <= MAX_MEAN)."""
     term = math.exp(-mean)

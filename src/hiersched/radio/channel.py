@@ -6,6 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiersched.compiled import kernel
 from hiersched.numerics import log2_f64
 from hiersched.randomness import STREAM_POSITION, draw_uniforms
 from hiersched.units import db_to_linear, dbm_to_w
@@ -40,7 +41,7 @@ def large_scale_gain(
     return np.array([db_to_linear(-loss) for loss in loss_db])
 
 
-@njit(error_model="numpy")
+@kernel()
 def prb_rates(
     fading_power: NDArray[np.float32],
     snr: NDArray[np.float64],

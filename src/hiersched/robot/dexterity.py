@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from hiersched.compiled import kernel
 
 MIN_SPEED_MPS = 0.05
 """Speed below which the curvature is taken at this speed: |omega| / max(|v|, MIN_SPEED_MPS)."""
 
 
-@njit(error_model="numpy")
+@kernel()
 def dexterity_index(
     tracking_error_cm: float, orientation_error_deg: float, curvature_per_m: float
 ) -> float:
@@ -32,7 +32,7 @@ def dexterity_index(
     )
 
 
-@njit(error_model="numpy")
+@kernel()
 def window_index(
     square_error_m2: float, heading_error_rad: float, curvature_per_m: float, count: int
 ) -> float:

@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiersched.compiled import kernel
 from hiersched.numerics import cos_half, sin_half, wrap_angle
 from hiersched.robot.dexterity import MIN_SPEED_MPS
 
@@ -86,7 +87,7 @@ def steps_of_delay(delay_s: float, sampling_s: float) -> int:
     return int(np.ceil(delay_s / sampling_s - 1e-9))
 
 
-@njit(error_model="numpy")
+@kernel()
 def close_loop(
     constants: RobotConstants,
     sample: int,
@@ -139,7 +140,7 @@ def close_loop(
     return saturated
 
 
-@njit(error_model="numpy")
+@kernel()
 def move_step(
     constants: RobotConstants,
     place: int,

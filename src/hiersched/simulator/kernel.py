@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiersched.compiled import kernel
 from hiersched.network.lyapunov import (
     delay_surrogate,
     offered_service,
@@ -30,7 +31,7 @@ from hiersched.simulator.records import SlotRecord
 from hiersched.simulator.setup import SlotConstants, SlotScratch, SlotState
 
 
-@njit(error_model="numpy")
+@kernel()
 def draw_channel(
     constants: SlotConstants, state: SlotState, scratch: SlotScratch, env: int
 ) -> None:
@@ -47,7 +48,7 @@ def draw_channel(
     )
 
 
-@njit(error_model="numpy")
+@kernel()
 def draw_channels(constants: SlotConstants, state: SlotState, scratch: SlotScratch) -> None:
     """Draw every environment's first slot; the moving average starts at the mean rate of one PRB."""
     num_users, num_prb = state.prb_rate_mbps.shape[1:]
@@ -60,7 +61,7 @@ def draw_channels(constants: SlotConstants, state: SlotState, scratch: SlotScrat
             state.average_rate_mbps[env, user] = total / num_prb
 
 
-@njit(error_model="numpy")
+@kernel()
 def run_slots(
     constants: SlotConstants,
     state: SlotState,
@@ -105,12 +106,13 @@ def run_slots(
                 record.prb_owner[env, index],
             )
             _serve(constants, state, scratch, record, env, index)
-            _drive(constants, state, record, env, index)
+            for robot in range(constants.num_urllc):
+                _drive_robot(constants.robots, state, record, env, index, robot)
             state.slot[env] += 1
             draw_channel(constants, state, scratch, env)
 
 
-@njit(error_model="numpy")
+@kernel()
 def run_robots(
     constants: SlotConstants, state: SlotState, scratch: SlotScratch, record: SlotRecord
 ) -> None:
@@ -122,11 +124,11 @@ def run_robots(
             for robot in range(constants.num_urllc):
                 dexterity = state.robots.dexterity_index[env, robot]
                 record.dexterity_index[env, index, robot] = dexterity
-            drive_robots(constants, state, record, env, index)
+                _drive_robot(constants.robots, state, record, env, index, robot)
             state.slot[env] += 1
 
 
-@njit(error_model="numpy")
+@kernel()
 def _row_mean(values: NDArray[np.float32]) -> np.float32:
     """Mean in a fixed order of eight interleaved sums: fast, and the same bits on every machine."""
     count = values.shape[0]
@@ -146,7 +148,7 @@ def _row_mean(values: NDArray[np.float32]) -> np.float32:
     return (((s0 + s1) + (s2 + s3)) + ((s4 + s5) + (s6 + s7))) / F32(count)
 
 
-@njit(error_model="numpy")
+@kernel()
 def _observe(
     constants: SlotConstants,
     state: SlotState,
@@ -163,9 +165,11 @@ def _observe(
     draw_uniforms(key, STREAM_ARRIVAL, slot, 0, record.arrival_uniform[env, index])
     draw_normals(key, slot, scratch.normal_words, scratch.normals, record.robot_normal[env, index])
     terms = scratch.terms
-    power = record.fading_power[env, index]
     drawn = state.fading_power[env]
-    power[...] = drawn
+    power = record.fading_power[env, index].reshape(-1)
+    flat = drawn.reshape(-1)
+    for i in range(power.shape[0]):
+        power[i] = flat[i]
     for user in range(num_users):
         record.mean_fading_power[env, index, user] = _row_mean(drawn[user])
         backlog = state.backlog_packets[env, user]
@@ -181,7 +185,7 @@ def _observe(
         record.multiplier[env, index, robot] = multiplier[robot]
 
 
-@njit(error_model="numpy")
+@kernel()
 def _serve(
     constants: SlotConstants,
     state: SlotState,
@@ -257,6 +261,9 @@ def _serve(
                     r, constants.delay_exponent_per_mbps, constants.violation_share
                 )
             record.constraint[env, index, user] = y
+            record.network_delay_s[env, index, user] = (
+                record.delay_s[env, index, user] + constants.robots.core_latency_s
+            )
             priced += terms.multiplier[user] * y
         else:
             drift_embb += drift
@@ -273,35 +280,7 @@ def _serve(
     ) / ((num_users - constants.num_urllc) * constants.reward_scale)
 
 
-@njit(error_model="numpy")
-def _drive(
-    constants: SlotConstants,
-    state: SlotState,
-    record: SlotRecord,
-    env: int,
-    index: int,
-) -> None:
-    """Move the robots through the slot with the delay that their commands meet in it."""
-    delay_s = record.network_delay_s[env, index]
-    for robot in range(constants.num_urllc):
-        delay_s[robot] = record.delay_s[env, index, robot] + constants.robots.core_latency_s
-    drive_robots(constants, state, record, env, index)
-
-
-@njit(error_model="numpy")
-def drive_robots(
-    constants: SlotConstants,
-    state: SlotState,
-    record: SlotRecord,
-    env: int,
-    index: int,
-) -> None:
-    """Move the robots of `env` through a slot whose network delays stand in the record."""
-    for robot in range(constants.num_urllc):
-        _drive_robot(constants.robots, state, record, env, index, robot)
-
-
-@njit(error_model="numpy")
+@kernel()
 def _drive_robot(
     robots: RobotConstants,
     state: SlotState,
@@ -310,6 +289,7 @@ def _drive_robot(
     index: int,
     robot: int,
 ) -> None:
+    """Move one robot through the slot with the network delay that stands in the record."""
     body = state.robots.state[env, robot]
     slip = state.robots.slip[env, robot]
     control = state.robots.control[env, robot]

@@ -281,8 +281,8 @@ def slot_scratch(constants: SlotConstants) -> SlotScratch:
     num_prb = constants.num_prb
     return SlotScratch(
         words=np.zeros((4, (num_users * num_prb + 3) // 4), np.uint32),
-        normal_words=np.zeros((8, constants.num_urllc), np.uint32),
-        normals=np.zeros((6, constants.num_urllc)),
+        normal_words=np.zeros((4, (6 * constants.num_urllc + 3) // 4), np.uint32),
+        normals=np.zeros(6 * constants.num_urllc),
         weight=np.zeros(num_users),
         terms=UserTerms(
             backlog_packets=np.zeros(num_users),
