@@ -1,0 +1,116 @@
+"""What is worth a line in a log: where a trouble begins, not every slot in which it lasts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hiersched.control import GainSchedule
+from hiersched.log import Event
+from hiersched.scenario import Scenario
+
+
+def slot_events(
+    scenario: Scenario,
+    schedule: GainSchedule,
+    fields: Mapping[str, NDArray[Any]],
+    first_slot: int = 0,
+) -> list[Event]:
+    """Events of a block of slots of one world: one for every stretch of slots of the same trouble.
+
+    Parameters
+    ----------
+    scenario
+        Deadlines and sampling interval.
+    schedule
+        Says at which delays no certified gain exists.
+    fields
+        Fields of `SlotRecord`, leading axis (T,).
+    first_slot
+        Number of the block's first slot.
+
+    Returns
+    -------
+    list of Event
+        Ordered by slot.
+    """
+    events = [
+        *_late_users(scenario, fields),
+        *_capped_delays(scenario, fields),
+        *_infeasible_gains(schedule, fields),
+        *_saturated_controls(fields),
+    ]
+    events.sort(key=lambda event: event.slot)
+    return [event._replace(slot=event.slot + first_slot) for event in events]
+
+
+def stretches(mask: NDArray[np.bool_]) -> Iterator[tuple[int, int, int]]:
+    """Yield the runs of True in the columns of a mask (T, N): column, first row, row after."""
+    padded = np.zeros((mask.shape[1], mask.shape[0] + 2), np.int8)
+    padded[:, 1:-1] = mask.T
+    change = np.diff(padded, axis=1)
+    columns, starts = np.nonzero(change == 1)
+    stops = np.nonzero(change == -1)[1]
+    yield from zip(columns.tolist(), starts.tolist(), stops.tolist(), strict=True)
+
+
+def _late_users(scenario: Scenario, fields: Mapping[str, NDArray[Any]]) -> Iterator[Event]:
+    traffic, users = scenario.traffic, scenario.users
+    deadline_s = np.repeat(
+        [traffic.deadline_s, traffic.embb_deadline_s], [users.num_urllc, users.num_embb]
+    )
+    wait_s = fields["hol_delay_s"]
+    # A wait is a multiple of the slot up to rounding: the deadline itself is not yet late.
+    for user, start, stop in stretches(wait_s > deadline_s * (1.0 + 1e-9)):
+        most = 1e3 * wait_s[start:stop, user].max()
+        yield Event(
+            start,
+            "WARNING",
+            "queue",
+            f"user {user}: head-of-line delay past {1e3 * deadline_s[user]:g} ms "
+            f"for {stop - start} slots, up to {most:.6g} ms",
+        )
+
+
+def _capped_delays(scenario: Scenario, fields: Mapping[str, NDArray[Any]]) -> Iterator[Event]:
+    for robot, start, stop in stretches(fields["delay_capped"] > 0):
+        most = 1e3 * fields["network_delay_s"][start:stop, robot].max()
+        yield Event(
+            start,
+            "WARNING",
+            "delay",
+            f"robot {robot}: network delay up to {most:.6g} ms, capped at "
+            f"{scenario.max_delay_steps} samples for {stop - start} slots",
+        )
+
+
+def _infeasible_gains(
+    schedule: GainSchedule, fields: Mapping[str, NDArray[Any]]
+) -> Iterator[Event]:
+    infeasible = np.array([status == "infeasible" for status in schedule.status])
+    if not infeasible.any():
+        return
+    steps = fields["gain_delay_steps"]
+    for robot, start, stop in stretches(infeasible[steps]):
+        yield Event(
+            start,
+            "WARNING",
+            "gain",
+            f"robot {robot}: no certified gain for T = {steps[start, robot]}, nominal gain in "
+            f"force for {stop - start} slots",
+        )
+
+
+def _saturated_controls(fields: Mapping[str, NDArray[Any]]) -> Iterator[Event]:
+    count = fields["control_saturated"]
+    for robot, start, stop in stretches(count > 0):
+        yield Event(
+            start,
+            "INFO",
+            "control",
+            f"robot {robot}: {count[start:stop, robot].sum()} saturated commands "
+            f"in {stop - start} slots",
+        )

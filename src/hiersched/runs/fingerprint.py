@@ -1,0 +1,125 @@
+"""What a script does, as a hash: its statements and those of every module of ours that it imports.
+
+Comments, docstrings and layout do not count. The modules are found by following the import
+statements, so that none can be forgotten; an import inside a function counts too.
+"""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+from functools import cache
+from pathlib import Path
+
+PACKAGE = "hiersched"
+PACKAGE_FOLDER = Path(__file__).resolve().parents[1]
+
+
+def code_fingerprint(script: Path, package_folder: Path = PACKAGE_FOLDER) -> str:
+    """SHA-256 of the code that a script can reach.
+
+    Parameters
+    ----------
+    script
+        A Python file.
+    package_folder
+        Folder of the package `hiersched`.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits.
+    """
+    modules = reachable_modules(script, package_folder)
+    digest = hashlib.sha256(_statements(script).encode())
+    for name, path in modules.items():
+        digest.update(f"\0{name}\0{_statements(path)}".encode())
+    for path in _data_files(modules):
+        digest.update(f"\0{path.relative_to(package_folder)}\0".encode() + path.read_bytes())
+    return digest.hexdigest()
+
+
+def reachable_modules(script: Path, package_folder: Path = PACKAGE_FOLDER) -> dict[str, Path]:
+    """Return the modules of the package that a script imports, directly or not: name -> file."""
+    found: dict[str, Path] = {}
+    waiting = [(script, "")]
+    while waiting:
+        path, name = waiting.pop()
+        package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+        for candidate in _imported_names(path, package):
+            for module in _with_parents(candidate):
+                file = _module_file(module, package_folder)
+                if file is not None and module not in found:
+                    found[module] = file
+                    waiting.append((file, module))
+    return dict(sorted(found.items()))
+
+
+def _imported_names(path: Path, package: str) -> list[str]:
+    """Dotted names that a file imports from the package; the last part may be no module."""
+    names = []
+    for node in ast.walk(_tree(path)):
+        if isinstance(node, ast.Import):
+            names += [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            module = node.module or ""
+            if node.level:
+                parts = package.split(".")
+                base = ".".join(parts[: len(parts) - node.level + 1])
+                module = f"{base}.{module}".rstrip(".")
+            names += [module, *(f"{module}.{alias.name}" for alias in node.names)]
+    return [name for name in names if name.split(".")[0] == PACKAGE]
+
+
+def _with_parents(name: str) -> list[str]:
+    """``a.b.c`` -> ``a``, ``a.b``, ``a.b.c``: importing a module runs its parents first."""
+    parts = name.split(".")
+    return [".".join(parts[:end]) for end in range(1, len(parts) + 1)]
+
+
+def _module_file(name: str, package_folder: Path) -> Path | None:
+    base = package_folder.joinpath(*name.split(".")[1:])
+    for file in (base / "__init__.py", base.with_suffix(".py")):
+        if file.is_file():
+            return file
+    return None
+
+
+def _data_files(modules: dict[str, Path]) -> list[Path]:
+    """Return the files without code in the folders of the packages: schemas and the like."""
+    folders = {path.parent for path in modules.values() if path.name == "__init__.py"}
+    return sorted(
+        path
+        for folder in folders
+        for path in folder.rglob("*")
+        if path.is_file()
+        and path.suffix not in (".py", ".pyc", ".nbi", ".nbc", ".part")
+        and not path.name.startswith(".")
+        and (path.parent == folder or not (path.parent / "__init__.py").exists())
+    )
+
+
+@cache
+def _tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
+
+
+@cache
+def _statements(path: Path) -> str:
+    """Return the statements of a file without comments, docstrings and positions."""
+    tree = ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
+    for node in ast.walk(tree):
+        for name in ("body", "orelse", "finalbody"):
+            statements = getattr(node, name, None)
+            if isinstance(statements, list):
+                setattr(node, name, [item for item in statements if not _is_text(item)])
+    return ast.dump(tree)
+
+
+def _is_text(node: ast.AST) -> bool:
+    """Whether a statement is a string on its own: a docstring, without effect."""
+    return (
+        isinstance(node, ast.Expr)
+        and isinstance(node.value, ast.Constant)
+        and isinstance(node.value.value, str)
+    )

@@ -1,0 +1,103 @@
+"""Opens the log of a run and fills it: the same metadata, attachments and events in every stage."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from numpy.typing import NDArray
+
+from hiersched.control import GainSchedule
+from hiersched.log import LogDims, LogWriter
+from hiersched.runs.events import slot_events
+from hiersched.scenario import Scenario, scenario_sha256, scenario_to_yaml
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunLabel:
+    """What a run is: train, evaluate, sweep or gain_study, policy, seed, the point of a sweep."""
+
+    stage: str
+    policy: str
+    seed: int
+    axis: str = ""
+    value: str = ""
+
+
+def open_log(
+    path: Path,
+    scenario: Scenario,
+    schedule: GainSchedule,
+    label: RunLabel,
+    *,
+    profile: str,
+    metadata: Mapping[str, str] | None = None,
+    attachments: Mapping[str, bytes] | None = None,
+) -> LogWriter:
+    """Open the log of one run; its folder is created.
+
+    Parameters
+    ----------
+    path
+        The file to be.
+    scenario
+        The scenario that is run (that of a sweep: with the swept value in place).
+    schedule
+        Gain schedule in force.
+    label
+        Goes into the metadata.
+    profile
+        ``full`` or ``compact``.
+    metadata, attachments
+        Further ones, such as the weights of a policy.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    users = scenario.users
+    text = {
+        "scenario": scenario.name,
+        "scenario_sha256": scenario_sha256(scenario),
+        "seed": str(label.seed),
+        "policy": label.policy,
+        "stage": label.stage,
+        "axis": label.axis,
+        "value": label.value,
+        "gain": scenario.control.gain,
+        **(metadata or {}),
+    }
+    files = {
+        "scenario.yaml": scenario_to_yaml(scenario).encode(),
+        "schedule.json": schedule.to_json().encode(),
+        **(attachments or {}),
+    }
+    return LogWriter(
+        path,
+        LogDims(num_urllc=users.num_urllc, num_embb=users.num_embb, num_prb=scenario.radio.num_prb),
+        profile,
+        text,
+        files,
+        slot_ns=round(scenario.radio.slot_s * 1e9),
+        compression=scenario.log.compression,
+        chunk_bytes=scenario.log.chunk_bytes,
+    )
+
+
+def log_block(
+    writer: LogWriter,
+    scenario: Scenario,
+    schedule: GainSchedule,
+    fields: Mapping[str, NDArray[Any]],
+    first_slot: int = 0,
+) -> None:
+    """Write consecutive slots of one world and their events; `fields` have a leading axis (T,)."""
+    writer.write_block(first_slot, fields)
+    for event in slot_events(scenario, schedule, fields, first_slot):
+        writer.event(event.slot, event.level, event.name, event.message)
+
+
+def clear_logs(folder: Path, keep: set[Path]) -> None:
+    """Remove the logs of a folder that are not among `keep`: nobody asks for them any more."""
+    for path in folder.glob("*.mcap*"):
+        if path not in keep:
+            path.unlink()

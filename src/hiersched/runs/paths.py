@@ -1,0 +1,132 @@
+"""Where the files of a study lie, relative to its folder ``results/<scenario>``."""
+
+from __future__ import annotations
+
+from hiersched.runs.variants import (
+    LEARNED_GROUP,
+    STUDY_GAINS,
+    STUDY_PLANTS,
+    design_of,
+    gain_designs,
+    group_policies,
+    study_scenario,
+    swept_scenario,
+    swept_values,
+    value_text,
+)
+from hiersched.scenario import Scenario
+
+SCENARIO = "scenario.yaml"
+PROGRESS = f"train/{LEARNED_GROUP}/progress.csv"
+
+FIGURES = (
+    "fig2_rewards",
+    "fig3_queues",
+    "fig4_rate_cdf",
+    "fig5_rayleigh",
+    "fig6_sampling",
+    "fig7_dexterity",
+    "fig8_violations",
+    "figX_load",
+)
+TABLES = (
+    "table1_parameters",
+    "table2_gain",
+    "table2_methods",
+    "table3_rate",
+    "policies",
+    "comparison",
+    "sweeps",
+    "gains",
+)
+
+
+def gain_file(design: str) -> str:
+    """Gain schedule by its name among `gain_designs`."""
+    return f"gains/{design}.json"
+
+
+def all_gain_files(scenario: Scenario) -> list[str]:
+    """List every gain schedule of a study."""
+    return [gain_file(design) for design in gain_designs(scenario)]
+
+
+def swept_gain_file(scenario: Scenario, axis: str, value: float | str) -> str:
+    """Gain schedule of one point of a sweep."""
+    return gain_file(design_of(scenario, swept_scenario(scenario, axis, value)))
+
+
+def swept_gain_files(scenario: Scenario, axis: str) -> list[str]:
+    """List the gain schedules that a sweep needs, each once."""
+    values = swept_values(scenario, axis)
+    return list(dict.fromkeys(swept_gain_file(scenario, axis, value) for value in values))
+
+
+def policy_file(seed: int) -> str:
+    """Weights of the policy of a training seed."""
+    return f"train/{LEARNED_GROUP}/policy_seed{seed}.pt"
+
+
+def policy_files(scenario: Scenario) -> list[str]:
+    """List the weights of all training seeds."""
+    return [policy_file(seed) for seed in scenario.learning.seeds]
+
+
+def training_log(seed: int) -> str:
+    """Log of the training of one seed."""
+    return f"train/{LEARNED_GROUP}/seed{seed}.mcap"
+
+
+def training_logs(scenario: Scenario) -> list[str]:
+    """List the logs of the training of all seeds."""
+    return [training_log(seed) for seed in scenario.learning.seeds]
+
+
+def evaluation_log(policy: str, seed: int) -> str:
+    """Log of a policy in a held-out world."""
+    return f"eval/{policy}/seed{seed}.mcap"
+
+
+def evaluation_logs(scenario: Scenario, group: str) -> list[str]:
+    """List the logs of the evaluation of a group of policies."""
+    return [
+        evaluation_log(policy, seed)
+        for policy in group_policies(scenario.evaluate.policies, group)
+        for seed in scenario.evaluate.seeds
+    ]
+
+
+def sweep_log(axis: str, policy: str, value: float | str, seed: int) -> str:
+    """Log of a policy at one point of a sweep."""
+    return f"sweep/{axis}/{policy}/{value_text(value)}_seed{seed}.mcap"
+
+
+def sweep_logs(scenario: Scenario, axis: str, group: str) -> list[str]:
+    """List the logs of a group of policies along a sweep."""
+    return [
+        sweep_log(axis, policy, value, seed)
+        for policy in group_policies(scenario.sweeps.policies, group)
+        for value in swept_values(scenario, axis)
+        for seed in scenario.sweeps.seeds
+    ]
+
+
+def gain_study_log(method: str, gain: str, seed: int) -> str:
+    """Log of the robots of the gain study under one method and gain."""
+    return f"gain_study/{method}_{gain}_seed{seed}.mcap"
+
+
+def gain_study_logs(scenario: Scenario) -> list[str]:
+    """List the logs of the gain study."""
+    return [
+        gain_study_log(method, gain, seed)
+        for method in STUDY_PLANTS
+        for gain in STUDY_GAINS
+        for seed in scenario.gain_study.seeds
+    ]
+
+
+def study_gain_files(scenario: Scenario) -> list[str]:
+    """List the gain schedules of the gain study."""
+    variants = [study_scenario(scenario, method, "adjusted") for method in STUDY_PLANTS]
+    return [gain_file(design_of(scenario, variant)) for variant in variants]

@@ -1,0 +1,127 @@
+"""What a job depends on, as one line: the values of the keys that it reads and its code's hash.
+
+Snakemake compares the parameters of a rule as a set of values without names, so all of them are in
+this one. A value that the job does not read leaves it as it is, and so does a comment.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+from hiersched.runs.fingerprint import code_fingerprint
+from hiersched.runs.variants import SWEPT_KEYS, gain_designs, group_policies
+from hiersched.scenario import Scenario, scenario_to_dict
+
+_LOG_FORM = ("log.compression", "log.chunk_bytes")
+_CONSTRAINT = (
+    "objective.penalty_weight",
+    "objective.epsilon",
+    "objective.delay_exponent",
+    "objective.constraint",
+)
+_SLOT_LOOP = ("name", "users", "radio", "traffic", *_CONSTRAINT, "schedulers", "robot", "control")
+"""Pick what the slot loop reads, whoever decides; `learning.reward_scale` is in its rewards."""
+
+KEYS: dict[str, tuple[str, ...]] = {
+    "gains": (
+        "control.sampling_s",
+        "control.weight",
+        "control.max_delay_s",
+        "control.plant",
+        "control.operator_share",
+        "control.method",
+        "control.decay_rate",
+        "robot.speed_mps",
+        "robot.actuator_lag_s",
+    ),
+    "train": (*_SLOT_LOOP, "objective", "learning", *_LOG_FORM, "log.train_profile"),
+    "evaluate": (
+        *_SLOT_LOOP,
+        "learning.reward_scale",
+        "evaluate.seeds",
+        "evaluate.duration_s",
+        *_LOG_FORM,
+        "log.evaluate_profile",
+    ),
+    "sweep": (
+        *_SLOT_LOOP,
+        "learning.reward_scale",
+        "sweeps.seeds",
+        "sweeps.duration_s",
+        *_LOG_FORM,
+        "log.sweep_profile",
+    ),
+    "gain_study": (
+        "name",
+        "robot",
+        "control",
+        "radio.slot_s",
+        "gain_study",
+        *_LOG_FORM,
+        "log.sweep_profile",
+    ),
+}
+"""Stage -> the keys that it reads; a section stands for all its keys."""
+
+
+def picked(scenario: Scenario, keys: tuple[str, ...]) -> dict[str, Any]:
+    """Values of dotted keys and sections, flat: ``radio.slot_s`` -> 0.01."""
+    sections = scenario_to_dict(scenario)
+    flat: dict[str, Any] = {}
+    for key in keys:
+        section, _, name = key.partition(".")
+        values = sections[section]
+        if name:
+            flat[key] = values[name]
+        elif isinstance(values, dict):
+            flat |= {f"{section}.{inner}": value for inner, value in values.items()}
+        else:
+            flat[key] = values
+    return flat
+
+
+def stage_spec(stage: str, values: dict[str, Any], script: Path) -> str:
+    """Return the parameter of a rule: canonical JSON of the values and of the hash of its code."""
+    document = {"stage": stage, "code": code_fingerprint(script), "values": values}
+    return json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def gains_values(scenario: Scenario, design: str) -> dict[str, Any]:
+    """Pick what one gain schedule depends on."""
+    return picked(gain_designs(scenario)[design], KEYS["gains"])
+
+
+def train_values(scenario: Scenario) -> dict[str, Any]:
+    """Pick what training depends on."""
+    return picked(scenario, KEYS["train"])
+
+
+def evaluate_values(scenario: Scenario, group: str) -> dict[str, Any]:
+    """Pick what the evaluation of a group of policies depends on, besides its gains and weights."""
+    policies = group_policies(scenario.evaluate.policies, group)
+    return {**picked(scenario, KEYS["evaluate"]), "policies": sorted(policies)}
+
+
+def sweep_values(scenario: Scenario, axis: str, group: str) -> dict[str, Any]:
+    """Pick what a group along a sweep depends on: not the value that the sweep replaces."""
+    values = picked(scenario, (*KEYS["sweep"], f"sweeps.{axis}"))
+    if axis != "sampling_s":  # control.sampling_s says which schedule is the scenario's own
+        del values[SWEPT_KEYS[axis]]
+    policies = group_policies(scenario.sweeps.policies, group)
+    return {**values, "policies": sorted(policies)}
+
+
+def gain_study_values(scenario: Scenario) -> dict[str, Any]:
+    """Pick what the gain study depends on."""
+    return picked(scenario, KEYS["gain_study"])
+
+
+def scenario_values(scenario: Scenario, notes: str = "") -> dict[str, Any]:
+    """Pick every value; `notes` is more text that the result shows, such as units."""
+    return {
+        "scenario": scenario_to_dict(scenario),
+        "notes": hashlib.sha256(notes.encode()).hexdigest(),
+    }

@@ -1,0 +1,60 @@
+"""Sweeps: one key varied at a time, every policy at every value in the same worlds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hiersched.runs import paths
+from hiersched.runs.gains import load_gains
+from hiersched.runs.logging import RunLabel, clear_logs, log_block, open_log
+from hiersched.runs.policies import PolicyRunner
+from hiersched.runs.variants import group_policies, swept_scenario, swept_values, value_text
+from hiersched.scenario import Scenario
+
+
+def sweep(scenario: Scenario, results: Path, axis: str, group: str, run: PolicyRunner) -> None:
+    """Run and log a group of policies at every value of an axis.
+
+    Parameters
+    ----------
+    scenario
+        Section `sweeps` decides.
+    results
+        Folder of the study; the gain schedules lie in it.
+    axis
+        One of `variants.SWEPT_KEYS`.
+    group
+        Which policies: one of `variants.GROUPS`.
+    run
+        How they are run.
+    """
+    seeds = scenario.sweeps.seeds
+    policies = group_policies(scenario.sweeps.policies, group)
+    wanted = {results / name for name in paths.sweep_logs(scenario, axis, group)}
+    for folder in {path.parent for path in wanted}:
+        clear_logs(folder, wanted)
+    for value in swept_values(scenario, axis):
+        variant = swept_scenario(scenario, axis, value)
+        schedule, gains = load_gains(
+            results / paths.swept_gain_file(scenario, axis, value), variant
+        )
+        num_slots = round(scenario.sweeps.duration_s / variant.radio.slot_s)
+        for policy in policies:
+            for world in run(variant, gains, policy, "sweep", seeds, num_slots):
+                with open_log(
+                    results / paths.sweep_log(axis, policy, value, world.seed),
+                    variant,
+                    schedule,
+                    RunLabel(
+                        stage="sweep",
+                        policy=policy,
+                        seed=world.seed,
+                        axis=axis,
+                        value=value_text(value),
+                    ),
+                    profile=scenario.log.sweep_profile,
+                    metadata=world.metadata,
+                    attachments=world.attachments,
+                ) as writer:
+                    log_block(writer, variant, schedule, world.fields)
+        print(f"sweep {axis} = {value_text(value)}: {', '.join(policies)}", flush=True)

@@ -1,0 +1,155 @@
+"""Training: both agents of all seeds, every slot logged; a killed run goes on where it was."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hiersched.control import GainSchedule
+from hiersched.learning.checkpoint import load_checkpoint
+from hiersched.learning.trainer import train
+from hiersched.log import LogReader, LogWriter
+from hiersched.runs import paths
+from hiersched.runs.gains import load_gains
+from hiersched.runs.logging import RunLabel, clear_logs, log_block, open_log
+from hiersched.scenario import Scenario, scenario_sha256
+
+
+class RoundLogs:
+    """Logs of the rounds that are complete, one file a seed and round, beside the checkpoint.
+
+    A log cannot be continued, so those of the seeds are put together from these at the end.
+
+    Parameters
+    ----------
+    scenario
+        Section `learning` decides.
+    schedule
+        Gain schedule in force.
+    folder
+        Where the files go.
+    first_round
+        Rounds that were complete before.
+    """
+
+    def __init__(
+        self, scenario: Scenario, schedule: GainSchedule, folder: Path, first_round: int
+    ) -> None:
+        self._scenario = scenario
+        self._schedule = schedule
+        self._folder = folder
+        num_seeds = len(scenario.learning.seeds)
+        self._episodes = [first_round * scenario.learning.num_envs] * num_seeds
+        self._writers: dict[int, LogWriter] = {}
+
+    def add(self, seed_index: int, fields: Mapping[str, NDArray[Any]]) -> None:
+        """Log the next episode of a seed."""
+        learning = self._scenario.learning
+        round_index, env = divmod(self._episodes[seed_index], learning.num_envs)
+        if env == 0:
+            self._writers[seed_index] = self._open(
+                self.path(seed_index, round_index), seed_index, {"round": str(round_index)}
+            )
+        writer = self._writers[seed_index]
+        first_slot = self._episodes[seed_index] * learning.slots_per_episode
+        log_block(writer, self._scenario, self._schedule, fields, first_slot)
+        self._episodes[seed_index] += 1
+        if env == learning.num_envs - 1:
+            writer.close()
+
+    def join(self, seed_index: int, path: Path, attachments: Mapping[str, bytes]) -> None:
+        """Put the rounds of a seed together into one log."""
+        learning = self._scenario.learning
+        with self._open(path, seed_index, {}, attachments) as writer:
+            for round_index in range(learning.episodes // learning.num_envs):
+                with LogReader(self.path(seed_index, round_index)) as part:
+                    fields: dict[str, NDArray[Any]] = {}
+                    slots = np.empty(0, np.uint64)
+                    for topic in part.topics:
+                        fields |= part.read(topic)
+                        slots = fields.pop("slot")
+                    writer.write_block(int(slots[0]), fields)
+                    for event in part.events():
+                        writer.event(event.slot, event.level, event.name, event.message)
+
+    def path(self, seed_index: int, round_index: int) -> Path:
+        """File of one seed and round."""
+        return (
+            self._folder
+            / f"seed{self._scenario.learning.seeds[seed_index]}_round{round_index}.mcap"
+        )
+
+    def _open(
+        self,
+        path: Path,
+        seed_index: int,
+        metadata: Mapping[str, str],
+        attachments: Mapping[str, bytes] | None = None,
+    ) -> LogWriter:
+        learning = self._scenario.learning
+        return open_log(
+            path,
+            self._scenario,
+            self._schedule,
+            RunLabel(stage="train", policy=learning.algorithm, seed=learning.seeds[seed_index]),
+            profile=self._scenario.log.train_profile,
+            metadata={
+                "slots_per_episode": str(learning.slots_per_episode),
+                "episodes": str(learning.episodes),
+                **metadata,
+            },
+            attachments=attachments,
+        )
+
+
+def train_and_log(
+    scenario: Scenario, results: Path, checkpoints: Path, *, show: bool = True
+) -> None:
+    """Train all seeds; write policies, progress and the log of every slot.
+
+    Parameters
+    ----------
+    scenario
+        Section `learning` decides.
+    results
+        Folder of the study; the scenario's gain schedule lies in it.
+    checkpoints
+        Folder of this very training: code and values that it depends on. If it holds a checkpoint,
+        training goes on from there, to the same bits; it is removed at the end.
+    show
+        Whether to show progress on the terminal.
+    """
+    schedule, gains = load_gains(results / paths.gain_file("schedule"), scenario)
+    checkpoints.mkdir(parents=True, exist_ok=True)
+    checkpoint = checkpoints / "training.pt"
+    done = 0
+    if checkpoint.exists():
+        done = int(load_checkpoint(checkpoint, scenario_sha256(scenario))["trainer"]["round"])
+        print(f"going on after round {done} of {checkpoint}", flush=True)
+    logs = RoundLogs(scenario, schedule, checkpoints, done)
+    progress = results / paths.PROGRESS
+    progress.parent.mkdir(parents=True, exist_ok=True)
+    policies = train(
+        scenario,
+        gains,
+        on_slots=logs.add,
+        progress=progress,
+        checkpoint=checkpoint,
+        show=show,
+    )
+    wanted = {results / name for name in paths.training_logs(scenario)}
+    clear_logs(progress.parent, wanted)
+    for index, policy in enumerate(policies):
+        weights = results / paths.policy_file(policy.seed)
+        policy.save(weights)
+        logs.join(
+            index,
+            results / paths.training_log(policy.seed),
+            {weights.name: weights.read_bytes()},
+        )
+    shutil.rmtree(checkpoints)

@@ -1,0 +1,78 @@
+# Every policy in every world: one job a group of policies (and axis), since imports cost more than short runs.
+# Shell commands are formatted when a job runs, long after the loops: what differs from rule to rule is in `args`.
+
+for s in SCENARIOS:
+    for group in groups_of(s.evaluate.policies):
+
+        rule:
+            name:
+                f"evaluate_{group}_{s.name}"
+            input:
+                scenario=resolved(s),
+                kernels=ancient(KERNELS),
+                gains=f"{folder(s)}/{paths.gain_file('schedule')}",
+                policies=weights(s, group),
+            output:
+                whole(inside(s, paths.evaluation_logs(s, group))),
+            log:
+                f"{folder(s)}/logs/evaluate_{group}.log",
+            benchmark:
+                f"{folder(s)}/benchmarks/evaluate_{group}.tsv"
+            threads: 1
+            params:
+                spec=spec.stage_spec(
+                    f"evaluate_{group}",
+                    spec.evaluate_values(s, group),
+                    script(f"evaluate_{group}"),
+                ),
+                args=f"{script(f'evaluate_{group}')} --results {folder(s)}",
+            shell:
+                "{sys.executable} {params.args} --scenario {input.scenario} > {log} 2>&1"
+
+    for axis in SWEPT_KEYS:
+        for group in groups_of(s.sweeps.policies):
+
+            rule:
+                name:
+                    f"sweep_{axis}_{group}_{s.name}"
+                input:
+                    scenario=resolved(s),
+                    kernels=ancient(KERNELS),
+                    gains=inside(s, paths.swept_gain_files(s, axis)),
+                    policies=weights(s, group),
+                output:
+                    whole(inside(s, paths.sweep_logs(s, axis, group))),
+                log:
+                    f"{folder(s)}/logs/sweep_{axis}_{group}.log",
+                benchmark:
+                    f"{folder(s)}/benchmarks/sweep_{axis}_{group}.tsv"
+                threads: 1
+                params:
+                    spec=spec.stage_spec(
+                        f"sweep_{axis}_{group}",
+                        spec.sweep_values(s, axis, group),
+                        script(f"sweep_{group}"),
+                    ),
+                    args=f"{script(f'sweep_{group}')} --axis {axis} --results {folder(s)}",
+                shell:
+                    "{sys.executable} {params.args} --scenario {input.scenario} > {log} 2>&1"
+
+    rule:
+        name:
+            f"gain_study_{s.name}"
+        input:
+            scenario=resolved(s),
+            kernels=ancient(KERNELS),
+            gains=inside(s, paths.study_gain_files(s)),
+        output:
+            whole(inside(s, paths.gain_study_logs(s))),
+        log:
+            f"{folder(s)}/logs/gain_study.log",
+        benchmark:
+            f"{folder(s)}/benchmarks/gain_study.tsv"
+        threads: 1
+        params:
+            spec=spec.stage_spec("gain_study", spec.gain_study_values(s), script("gain_study")),
+            args=f"{script('gain_study')} --results {folder(s)}",
+        shell:
+            "{sys.executable} {params.args} --scenario {input.scenario} > {log} 2>&1"

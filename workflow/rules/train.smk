@@ -1,0 +1,25 @@
+# Training: all seeds side by side in one job. Its progress also goes to the terminal.
+
+for s in SCENARIOS:
+
+    rule:
+        name:
+            f"train_{s.name}"
+        input:
+            scenario=resolved(s),
+            kernels=ancient(KERNELS),
+            gains=f"{folder(s)}/{paths.gain_file('schedule')}",
+        output:
+            policies=whole(inside(s, paths.policy_files(s))),
+            logs=whole(inside(s, paths.training_logs(s))),
+            progress=ensure(f"{folder(s)}/{paths.PROGRESS}", non_empty=True),
+        log:
+            f"{folder(s)}/logs/train.log",
+        benchmark:
+            f"{folder(s)}/benchmarks/train.tsv"
+        threads: 1
+        params:
+            spec=spec.stage_spec("train", spec.train_values(s), script("train")),
+            args=f"{script('train')} --results {folder(s)} --checkpoints {checkpoints(s)}",
+        shell:
+            "{sys.executable} -u {params.args} --scenario {input.scenario} 2>&1 | tee {log}"

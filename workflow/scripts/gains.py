@@ -1,0 +1,28 @@
+"""Design one gain schedule."""
+
+import argparse
+import logging
+from pathlib import Path
+
+from hiersched.runs.gains import design_gains
+from hiersched.scenario import load_scenario
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenario", type=Path, required=True)
+    parser.add_argument(
+        "--design", required=True, help="schedule, schedule_<h> or schedule_<method>"
+    )
+    parser.add_argument("--output", type=Path, required=True)
+    args = parser.parse_args()
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    schedule = design_gains(load_scenario(args.scenario), args.design, args.output)
+    for delay, (status, deviation) in enumerate(
+        zip(schedule.status, schedule.deviation, strict=True)
+    ):
+        print(f"T = {delay}: {status}, distance from the nominal gain {deviation:.4g}")
+
+
+if __name__ == "__main__":
+    main()

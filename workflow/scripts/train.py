@@ -1,0 +1,20 @@
+"""Train the agents of all seeds."""
+
+import argparse
+from pathlib import Path
+
+from hiersched.runs.train import train_and_log
+from hiersched.scenario import load_scenario
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--scenario", type=Path, required=True)
+    parser.add_argument("--results", type=Path, required=True)
+    parser.add_argument("--checkpoints", type=Path, required=True, help="of this very training")
+    args = parser.parse_args()
+    train_and_log(load_scenario(args.scenario), args.results, args.checkpoints)
+
+
+if __name__ == "__main__":
+    main()
