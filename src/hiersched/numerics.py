@@ -102,3 +102,23 @@ def cos_half(x: float) -> float:
     p = p * z + 0.041666666666666664
     p = p * z - 0.5
     return 1.0 + z * p
+
+
+@njit(inline="always")
+def sincos_turn_f32(turn: np.float32) -> tuple[np.float32, np.float32]:
+    """-sin(2 pi x) and -cos(2 pi x) of a float32 in (0, 1); error below 2e-6 (Taylor series of the half angle)."""
+    h = F32(np.pi) * turn - F32(0.5 * np.pi)
+    z = h * h
+    p = F32(-2.505210838544172e-08)
+    p = p * z + F32(2.7557319223985893e-06)
+    p = p * z - F32(0.0001984126984126984)
+    p = p * z + F32(0.008333333333333333)
+    p = p * z - F32(0.16666666666666666)
+    sine = h + h * z * p
+    p = F32(-2.755731922398589e-07)
+    p = p * z + F32(2.48015873015873e-05)
+    p = p * z - F32(0.001388888888888889)
+    p = p * z + F32(0.041666666666666664)
+    p = p * z - F32(0.5)
+    cosine = F32(1.0) + z * p
+    return F32(2.0) * sine * cosine, F32(1.0) - F32(2.0) * sine * sine

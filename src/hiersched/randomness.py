@@ -14,7 +14,7 @@ from numba import njit, uint32, uint64
 from numpy.typing import NDArray
 
 from hiersched.compiled import kernel
-from hiersched.numerics import F32, cos_half, ln_f32, sin_half
+from hiersched.numerics import F32, ln_f32, sincos_turn_f32
 
 STREAM_FADING = np.uint32(0)
 STREAM_ARRIVAL = np.uint32(1)
@@ -128,13 +128,14 @@ def draw_normals(
     key: np.uint64,
     slot: int,
     words: NDArray[np.uint32],
-    normals: NDArray[np.float64],
+    normals: NDArray[np.float32],
     out: NDArray[np.float32],
 ) -> None:
-    """Fill `out` (R, 5) with standard normals of the robot stream (Box-Muller, rounded to float32).
+    """Fill `out` (R, 5) with standard normals of the robot stream (Box-Muller in float32).
 
     Normal j of robot r is element j*R + r of 6 R normals; elements i and 3 R + i come from words i and 3 R + i, word
-    `lane` of block b being number lane*B + b of B = ceil(6 R / 4) blocks. `words` (4, B) and `normals` (6 R,) are scratch.
+    `lane` of block b being number lane*B + b of B = ceil(6 R / 4) blocks. `words` (4, B) and `normals` (3, 3 R) are
+    scratch; the loops over them are short so that each becomes vector instructions.
     """
     k0 = uint32(key)
     k1 = uint32(key >> _S32)
@@ -148,12 +149,11 @@ def draw_normals(
     flat = words.reshape(-1)
     half = 3 * num_robots
     for i in range(half):
-        radius = np.sqrt(-2.0 * np.float64(ln_f32(unit_f32(flat[i]))))
-        angle = 6.283185307179586 * np.float64(unit_f32(flat[half + i])) - np.pi
-        s = sin_half(angle)
-        c = cos_half(angle)
-        normals[i] = radius * (1.0 - 2.0 * s * s)
-        normals[half + i] = radius * 2.0 * s * c
+        normals[0, i] = np.sqrt(F32(-2.0) * ln_f32(unit_f32(flat[i])))
+    for i in range(half):
+        sine, cosine = sincos_turn_f32(unit_f32(flat[half + i]))
+        normals[1, i] = normals[0, i] * cosine
+        normals[2, i] = normals[0, i] * sine
     for robot in range(num_robots):
         for j in range(5):
-            out[robot, j] = F32(normals[j * num_robots + robot])
+            out[robot, j] = normals[1 + j // 3, j % 3 * num_robots + robot]

@@ -81,7 +81,7 @@ class SlotScratch(NamedTuple):
 
     words: NDArray[np.uint32]
     normal_words: NDArray[np.uint32]
-    normals: NDArray[np.float64]
+    normals: NDArray[np.float32]
     weight: NDArray[np.float64]
     terms: UserTerms
     allocation: AllocationScratch
@@ -282,7 +282,7 @@ def slot_scratch(constants: SlotConstants) -> SlotScratch:
     return SlotScratch(
         words=np.zeros((4, (num_users * num_prb + 3) // 4), np.uint32),
         normal_words=np.zeros((4, (6 * constants.num_urllc + 3) // 4), np.uint32),
-        normals=np.zeros(6 * constants.num_urllc),
+        normals=np.zeros((3, 3 * constants.num_urllc), np.float32),
         weight=np.zeros(num_users),
         terms=UserTerms(
             backlog_packets=np.zeros(num_users),
