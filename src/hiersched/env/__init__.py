@@ -1,0 +1,40 @@
+"""The simulator as reinforcement-learning environments: adapters without physics.
+
+`SlicingVectorEnv` (Gymnasium, a native batch), `SlicingEnv` (Gymnasium, one world) and `SlicingParallelEnv`
+(PettingZoo) load their libraries when they are first asked for.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from hiersched.env.core import SlotLoop, action_weights
+from hiersched.env.features import FEATURE_VERSION, FEATURES, agent_views, user_features
+
+if TYPE_CHECKING:
+    from hiersched.env.parallel import SlicingParallelEnv
+    from hiersched.env.single import SlicingEnv
+    from hiersched.env.vector import SlicingVectorEnv
+
+__all__ = [
+    "FEATURES",
+    "FEATURE_VERSION",
+    "SlicingEnv",
+    "SlicingParallelEnv",
+    "SlicingVectorEnv",
+    "SlotLoop",
+    "action_weights",
+    "agent_views",
+    "user_features",
+]
+
+_LAZY = {"SlicingEnv": "single", "SlicingParallelEnv": "parallel", "SlicingVectorEnv": "vector"}
+
+
+def __getattr__(name: str) -> Any:
+    """Load an adapter on first use."""
+    if name in _LAZY:
+        from importlib import import_module
+
+        return getattr(import_module(f"hiersched.env.{_LAZY[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,78 @@
+"""One slot of all worlds under the agents' actions: what every adapter and the trainer share."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hiersched.env.features import user_features
+from hiersched.scenario.schema import Scenario
+from hiersched.simulator import Gains, Simulator, SlotRecord
+
+
+def action_weights(actions: NDArray[np.floating], weight_exponent: float) -> NDArray[np.float64]:
+    """Weights w = exp(c a) of actions a, any shape, rounded to float32 so that a float32 log is lossless."""
+    exponent = np.float64(weight_exponent) * actions
+    return np.exp(exponent).astype(np.float32).astype(np.float64)
+
+
+class SlotLoop:
+    """Episodes of a fixed length in E worlds at once; an action is one number in [-1, 1] for every user.
+
+    Parameters
+    ----------
+    scenario
+        The validated scenario.
+    gains
+        Gain schedule of the robots.
+    keys
+        Worlds of the first episode, shape (E,).
+    num_slots
+        Slots of an episode.
+
+    Attributes
+    ----------
+    record
+        The last slot, leading axes (E, 1); overwritten by the next one.
+    multipliers
+        Multiplier of each URLLC user's delay constraint, shape (E, R); seen by the agents and priced in the rewards.
+    """
+
+    def __init__(
+        self, scenario: Scenario, gains: Gains, keys: NDArray[np.uint64], num_slots: int
+    ) -> None:
+        self.simulator = Simulator(scenario, gains, keys, num_slots)
+        self.record: SlotRecord = self.simulator.new_record(1)
+        self.multipliers = np.zeros((len(keys), scenario.users.num_urllc))
+        self._weight_exponent = scenario.learning.weight_exponent
+
+    @property
+    def finished(self) -> bool:
+        """Whether the episode's last slot has run."""
+        return self.simulator.slots_left == 0
+
+    def reset(self, keys: NDArray[np.uint64]) -> NDArray[np.float32]:
+        """Start an episode in the worlds `keys`, shape (E,); returns the features, shape (E, U, F)."""
+        self.simulator.reset(keys)
+        return self.features()
+
+    def features(self) -> NDArray[np.float32]:
+        """Features at the start of the coming slot, shape (E, U, F)."""
+        return user_features(self.simulator, self.multipliers)
+
+    def step(self, actions: NDArray[np.floating]) -> NDArray[np.float32]:
+        """Run one slot under actions of shape (E, U); returns the next features, `record` holds the slot.
+
+        Raises
+        ------
+        ValueError
+            If an action is outside [-1, 1] or not a number.
+        """
+        # One comparison that is false for NaN too.
+        if not (np.abs(actions) <= 1.0).all():
+            raise ValueError("actions: must lie in [-1, 1]")
+        weights = action_weights(actions, self._weight_exponent)
+        self.simulator.run(
+            "pf", 1, weights=weights, multipliers=self.multipliers, record=self.record
+        )
+        return self.features()

@@ -1,0 +1,98 @@
+"""What an agent sees of each user: dimensionless numbers that mean the same in every cell."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hiersched.simulator import Simulator
+
+FEATURE_VERSION = 1
+"""Rises whenever a feature changes its meaning: a policy runs only on the version it was trained with."""
+
+FEATURES = (
+    "need",  # PRBs that would empty the queue at the coming slot's mean rate, / NEED_SCALE
+    "log_need",  # ln(1 + the same, unscaled)
+    "log_wait",  # ln(1 + head-of-line delay / deadline)
+    "log_prb_rate",  # ln of the coming slot's mean PRB rate over 10 Mbit/s
+    "served",  # rate of the last slot over the coming slot's mean PRB rate, / NEED_SCALE
+    "dexterity",  # DI in force (0 for eMBB users)
+    "log_multiplier",  # ln(1 + multiplier of the user's delay constraint) (0 for eMBB users)
+    "load",  # PRBs that the user's offered load takes at the coming slot's mean rate, / NEED_SCALE
+)
+"""Names of the features of one user, in order."""
+
+NUM_FEATURES = len(FEATURES)
+MULTIPLIER = FEATURES.index("log_multiplier")
+NEED_SCALE = 4.0
+_REFERENCE_RATE_MBPS = 10.0
+
+
+def multiplier_feature(multipliers: NDArray[np.float64]) -> NDArray[np.float32]:
+    """ln(1 + multiplier), same shape: how a multiplier appears among the features."""
+    return np.log1p(multipliers).astype(np.float32)
+
+
+def user_features(
+    simulator: Simulator, multipliers: NDArray[np.float64]
+) -> NDArray[np.float32]:
+    """Features of every user at the start of the coming slot.
+
+    Parameters
+    ----------
+    simulator
+        Its state is read, not changed.
+    multipliers
+        Multiplier of each URLLC user's delay constraint, shape (E, R).
+
+    Returns
+    -------
+    features
+        Shape (E, U, NUM_FEATURES), URLLC users first. Slice means are not among them: the networks form them.
+    """
+    constants, state = simulator.constants, simulator.state
+    num_urllc = constants.num_urllc
+    rate_mbps = state.prb_rate_mbps.mean(axis=2)
+    packets_per_prb = rate_mbps * constants.service_packets_per_mbps
+    need = state.backlog_packets / packets_per_prb
+    deadline_s = constants.deadline_slots * constants.slot_s
+    features = np.zeros((*rate_mbps.shape, NUM_FEATURES), np.float32)
+    features[..., 0] = need / NEED_SCALE
+    features[..., 1] = np.log1p(need)
+    features[..., 2] = np.log1p(state.hol_delay_s / deadline_s)
+    features[..., 3] = np.log(rate_mbps / _REFERENCE_RATE_MBPS)
+    features[..., 4] = state.rate_mbps / rate_mbps / NEED_SCALE
+    features[:, :num_urllc, 5] = state.robots.dexterity_index
+    features[:, :num_urllc, MULTIPLIER] = multiplier_feature(multipliers)
+    features[..., 7] = constants.mean_due_packets / packets_per_prb / NEED_SCALE
+    return features
+
+
+def agent_views(
+    features: NDArray[np.float32], num_urllc: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """What each agent sees of its own users: their features, the slice's mean and the other slice's mean.
+
+    Parameters
+    ----------
+    features
+        Shape (..., U, F), URLLC users first.
+    num_urllc
+        How many of them are URLLC users.
+
+    Returns
+    -------
+    urllc, embb
+        Shapes (..., n, 3 F) with the users n of the slice.
+    """
+    slices = features[..., :num_urllc, :], features[..., num_urllc:, :]
+    means = [part.mean(axis=-2, keepdims=True) for part in slices]
+    own, other = slices, (means[1], means[0])
+    urllc, embb = (
+        np.concatenate(
+            (own[k], np.broadcast_to(means[k], own[k].shape), np.broadcast_to(other[k], own[k].shape)),
+            axis=-1,
+        )
+        for k in range(2)
+    )
+    return urllc, embb

@@ -1,0 +1,109 @@
+"""One world as a PettingZoo parallel environment with the paper's two agents."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+from pettingzoo import ParallelEnv
+
+from hiersched.env.core import SlotLoop
+from hiersched.env.features import NUM_FEATURES, agent_views
+from hiersched.env.vector import slot_info
+from hiersched.randomness import world_key
+from hiersched.scenario.schema import Scenario
+from hiersched.simulator import Gains
+
+AGENTS = ("urllc", "embb")
+
+
+class SlicingParallelEnv(ParallelEnv):
+    """Two agents, `urllc` and `embb`; each gives every user of its slice one number in [-1, 1].
+
+    Observation of an agent (n, 3 F): its users' features, the slice's mean and the other slice's mean. Reward: that of
+    the own slice, or the mean of both where the scenario says `reward: cooperative`.
+
+    Parameters
+    ----------
+    scenario
+        The validated scenario.
+    gains
+        Gain schedule of the robots.
+    num_slots
+        Slots of an episode; those of the scenario's training unless given.
+    """
+
+    metadata = {"name": "hiersched_v0", "render_modes": []}
+
+    def __init__(self, scenario: Scenario, gains: Gains, *, num_slots: int | None = None) -> None:
+        self.possible_agents = list(AGENTS)
+        self.agents: list[str] = []
+        self._num_urllc = scenario.users.num_urllc
+        self._cooperative = scenario.learning.reward == "cooperative"
+        counts = (scenario.users.num_urllc, scenario.users.num_embb)
+        self._observation_spaces = {
+            agent: spaces.Box(-np.inf, np.inf, (count, 3 * NUM_FEATURES), np.float32)
+            for agent, count in zip(AGENTS, counts, strict=True)
+        }
+        self._action_spaces = {
+            agent: spaces.Box(-1.0, 1.0, (count,), np.float32)
+            for agent, count in zip(AGENTS, counts, strict=True)
+        }
+        self._seed = 0
+        self._next_world = 0
+        slots = scenario.learning.slots_per_episode if num_slots is None else num_slots
+        self._loop = SlotLoop(scenario, gains, self._world(), slots)
+
+    def _world(self) -> NDArray[np.uint64]:
+        return np.array([world_key("env", self._seed, self._next_world)], np.uint64)
+
+    def observation_space(self, agent: str) -> spaces.Box:
+        """Observation space of an agent, always the same object."""
+        return self._observation_spaces[agent]
+
+    def action_space(self, agent: str) -> spaces.Box:
+        """Action space of an agent, always the same object."""
+        return self._action_spaces[agent]
+
+    def _views(self, features: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
+        return dict(zip(AGENTS, agent_views(features[0], self._num_urllc), strict=True))
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, NDArray[np.float32]], dict[str, dict[str, Any]]]:
+        """Start an episode in a new world; with a seed, in the first world of that seed."""
+        if seed is not None:
+            self._seed, self._next_world = seed, 0
+        features = self._loop.reset(self._world())
+        self._next_world += 1
+        self.agents = list(AGENTS)
+        return self._views(features), {agent: {} for agent in AGENTS}
+
+    def step(
+        self, actions: dict[str, NDArray[np.floating]]
+    ) -> tuple[
+        dict[str, NDArray[np.float32]],
+        dict[str, float],
+        dict[str, bool],
+        dict[str, bool],
+        dict[str, dict[str, Any]],
+    ]:
+        """Run one slot under both agents' actions."""
+        features = self._loop.step(np.concatenate([actions[agent] for agent in AGENTS])[None])
+        info = {name: value[0] for name, value in slot_info(self._loop.record, self._num_urllc).items()}
+        rewards = {agent: float(info[f"reward_{agent}"]) for agent in AGENTS}
+        if self._cooperative:
+            mean = 0.5 * sum(rewards.values())
+            rewards = dict.fromkeys(AGENTS, mean)
+        finished = self._loop.finished
+        if finished:
+            self.agents = []
+        return (
+            self._views(features),
+            rewards,
+            dict.fromkeys(AGENTS, False),
+            dict.fromkeys(AGENTS, finished),
+            {agent: dict(info) for agent in AGENTS},
+        )

@@ -1,0 +1,62 @@
+"""One world as a Gymnasium environment."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hiersched.env.core import SlotLoop
+from hiersched.env.vector import slot_info, user_spaces
+from hiersched.randomness import world_key
+from hiersched.scenario.schema import Scenario
+from hiersched.simulator import Gains
+
+
+class SlicingEnv(gymnasium.Env):
+    """One world; spaces, reward and info are those of one row of `SlicingVectorEnv`.
+
+    Parameters
+    ----------
+    scenario
+        The validated scenario.
+    gains
+        Gain schedule of the robots.
+    num_slots
+        Slots of an episode; those of the scenario's training unless given.
+    """
+
+    metadata = {"render_modes": []}
+
+    def __init__(self, scenario: Scenario, gains: Gains, *, num_slots: int | None = None) -> None:
+        self.observation_space, self.action_space = user_spaces(scenario.num_users)
+        self._num_urllc = scenario.users.num_urllc
+        self._seed = 0
+        self._next_world = 0
+        slots = scenario.learning.slots_per_episode if num_slots is None else num_slots
+        self._loop = SlotLoop(scenario, gains, self._world(), slots)
+
+    def _world(self) -> NDArray[np.uint64]:
+        return np.array([world_key("env", self._seed, self._next_world)], np.uint64)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Start an episode in a new world; with a seed, in the first world of that seed."""
+        super().reset(seed=seed)
+        if seed is not None:
+            self._seed, self._next_world = seed, 0
+        features = self._loop.reset(self._world())
+        self._next_world += 1
+        return features[0], {}
+
+    def step(
+        self, action: NDArray[np.floating]
+    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Run one slot; the slot limit is truncation."""
+        features = self._loop.step(np.asarray(action)[None])
+        info = {name: value[0] for name, value in slot_info(self._loop.record, self._num_urllc).items()}
+        reward = 0.5 * float(info["reward_urllc"] + info["reward_embb"])
+        return features[0], reward, False, self._loop.finished, info

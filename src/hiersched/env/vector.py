@@ -1,0 +1,123 @@
+"""The simulator as a Gymnasium vector environment: a native batch, without one process a world."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from hiersched.env.core import SlotLoop
+from hiersched.env.features import NUM_FEATURES
+from hiersched.randomness import world_key
+from hiersched.scenario.schema import Scenario
+from hiersched.simulator import Gains, SlotRecord
+
+
+def user_spaces(num_users: int) -> tuple[spaces.Box, spaces.Box]:
+    """Observation and action space of one world: features of every user, one number in [-1, 1] for each."""
+    return (
+        spaces.Box(-np.inf, np.inf, (num_users, NUM_FEATURES), np.float32),
+        spaces.Box(-1.0, 1.0, (num_users,), np.float32),
+    )
+
+
+def slot_info(record: SlotRecord, num_urllc: int) -> dict[str, NDArray[Any]]:
+    """What a slot cost, shape (E,) or (E, U) each: `cost` counts the URLLC packets that became late in the slot."""
+    return {
+        "cost": record.late_packets[:, 0, :num_urllc].sum(axis=-1).astype(np.float64),
+        "due_packets": record.due_packets[:, 0, :num_urllc].sum(axis=-1).astype(np.float64),
+        "reward_urllc": record.reward_urllc[:, 0].copy(),
+        "reward_embb": record.reward_embb[:, 0].copy(),
+        "prb_count": record.num_prb[:, 0].copy(),
+    }
+
+
+class SlicingVectorEnv(VectorEnv):
+    """E worlds side by side; one decision a slot for all users of both slices.
+
+    Observation (E, U, F): `env.features`. Action (E, U): one number in [-1, 1] for every user, the weight is exp(c a).
+    Reward: mean of both slices' rewards; the parts and the cost are in the info. An episode ends at the slot limit
+    only, which is truncation; all worlds end together and start anew in the same step (SAME_STEP), with the last
+    observation in ``info["final_obs"]``.
+
+    Parameters
+    ----------
+    scenario
+        The validated scenario.
+    gains
+        Gain schedule of the robots.
+    num_envs
+        E.
+    num_slots
+        Slots of an episode; those of the scenario's training unless given.
+    """
+
+    metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}
+
+    def __init__(
+        self, scenario: Scenario, gains: Gains, num_envs: int, *, num_slots: int | None = None
+    ) -> None:
+        self.num_envs = num_envs
+        self.single_observation_space, self.single_action_space = user_spaces(scenario.num_users)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._num_urllc = scenario.users.num_urllc
+        self._seed = 0
+        self._next_world = 0
+        slots = scenario.learning.slots_per_episode if num_slots is None else num_slots
+        self._loop = SlotLoop(scenario, gains, self._worlds(), slots)
+
+    def _worlds(self) -> NDArray[np.uint64]:
+        first = self._next_world
+        return np.array(
+            [world_key("env", self._seed, first + env) for env in range(self.num_envs)], np.uint64
+        )
+
+    def _new_episode(self) -> NDArray[np.float32]:
+        features = self._loop.reset(self._worlds())
+        self._next_world += self.num_envs
+        return features
+
+    @property
+    def multipliers(self) -> NDArray[np.float64]:
+        """Multipliers in force, shape (E, R); write into it to change them."""
+        return self._loop.multipliers
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Start an episode in new worlds; with a seed, in the first worlds of that seed."""
+        super().reset(seed=seed)
+        if seed is not None:
+            self._seed, self._next_world = seed, 0
+        return self._new_episode(), {}
+
+    def step(
+        self, actions: NDArray[np.floating]
+    ) -> tuple[
+        NDArray[np.float32],
+        NDArray[np.float64],
+        NDArray[np.bool_],
+        NDArray[np.bool_],
+        dict[str, Any],
+    ]:
+        """Run one slot of all worlds."""
+        features = self._loop.step(actions)
+        info: dict[str, Any] = dict(slot_info(self._loop.record, self._num_urllc))
+        reward = 0.5 * (info["reward_urllc"] + info["reward_embb"])
+        truncated = np.full(self.num_envs, self._loop.finished)
+        if self._loop.finished:
+            final = np.empty(self.num_envs, dtype=object)
+            final[:] = list(features)
+            info = {
+                "final_obs": final,
+                "_final_obs": truncated.copy(),
+                "final_info": info,
+                "_final_info": truncated.copy(),
+            }
+            features = self._new_episode()
+        return features, reward, np.zeros(self.num_envs, np.bool_), truncated, info

@@ -1,0 +1,56 @@
+"""Checkpoints of a training between two rounds: what goes on from one is what would have been, bit for bit."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from hiersched.env.features import FEATURE_VERSION
+
+_FORMAT = 1
+
+
+class CheckpointError(ValueError):
+    """A checkpoint that cannot be resumed: the message says what differs."""
+
+
+def _identity(scenario_sha256: str) -> dict[str, Any]:
+    """What must be the same for the bits to be the same; the thread count is always 1."""
+    return {
+        "format": _FORMAT,
+        "scenario_sha256": scenario_sha256,
+        "feature_version": FEATURE_VERSION,
+        "torch": str(torch.__version__),
+    }
+
+
+def save_checkpoint(path: Path, scenario_sha256: str, state: dict[str, Any]) -> None:
+    """Write a checkpoint; the file appears whole or not at all."""
+    part = Path(f"{path}.part")
+    torch.save({"identity": _identity(scenario_sha256), "state": state}, part)
+    os.replace(part, path)
+
+
+def load_checkpoint(path: Path, scenario_sha256: str) -> dict[str, Any]:
+    """Read what `save_checkpoint` wrote.
+
+    Raises
+    ------
+    CheckpointError
+        If it is no checkpoint, or one of another scenario or version.
+    """
+    try:
+        saved = torch.load(path, weights_only=True)
+        found = dict(saved["identity"])
+        state: dict[str, Any] = saved["state"]
+    except Exception as error:
+        raise CheckpointError(f"{path}: not a checkpoint: {error}; delete it to start anew") from error
+    for name, wanted in _identity(scenario_sha256).items():
+        if found.get(name) != wanted:
+            raise CheckpointError(
+                f"{path}: {name} = {found.get(name)!r}: must be {wanted!r}; delete it to start anew"
+            )
+    return state

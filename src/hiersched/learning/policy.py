@@ -1,0 +1,180 @@
+"""A trained policy as a value: both actors of one seed, and what they may run on."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from hiersched.env.core import action_weights
+from hiersched.env.features import FEATURE_VERSION, FEATURES, user_features
+from hiersched.learning.networks import ACTOR_INPUTS, NUM_AGENTS, Layers, Slices, network_inputs
+from hiersched.simulator import Simulator, SlotRecord
+
+_FORMAT = 1
+
+
+class PolicyError(ValueError):
+    """A policy file that cannot be used: the message says what is wrong and what is allowed."""
+
+
+@contextmanager
+def single_thread() -> Iterator[None]:
+    """One torch thread within: the bits of a matrix product depend on the number of threads."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Policy:
+    """Both actors of one seed after training.
+
+    Attributes
+    ----------
+    parameters
+        Of the URLLC and the eMBB actor, shape (2, P), float32.
+    hidden
+        Hidden layers of the actors.
+    weight_exponent
+        c of w = exp(c a).
+    multipliers
+        Multiplier of each URLLC user when training ended, shape (R,): what the policy observes from now on.
+    seed, scenario_sha256, feature_version
+        Where the policy comes from.
+    """
+
+    parameters: NDArray[np.float32]
+    hidden: tuple[int, ...]
+    weight_exponent: float
+    multipliers: NDArray[np.float64]
+    seed: int
+    scenario_sha256: str
+    feature_version: int = FEATURE_VERSION
+
+    def act(self, features: NDArray[np.float32]) -> NDArray[np.float64]:
+        """Weights, shape (E, U), from features (E, U, F); without noise.
+
+        The slices are told apart by the number of multipliers: one for each URLLC user.
+        """
+        num_urllc = len(self.multipliers)
+        slices = Slices(num_urllc, features.shape[1] - num_urllc)
+        layers = Layers((ACTOR_INPUTS, *self.hidden, 1))
+        with torch.no_grad():
+            inputs = network_inputs(torch.from_numpy(features).unsqueeze(0), slices)
+            rows = layers.forward(torch.from_numpy(self.parameters), inputs).tanh()
+            rows = rows.view(1, NUM_AGENTS, len(features), slices.width).transpose(1, 2)
+            actions: NDArray[np.float32] = slices.join(rows)[0].numpy()
+        return action_weights(actions, self.weight_exponent)
+
+    def save(self, path: str | Path) -> None:
+        """Write the policy to `path`; the file appears whole or not at all."""
+        part = Path(f"{path}.part")
+        saved = {
+            "format": _FORMAT,
+            "parameters": torch.from_numpy(self.parameters),
+            "hidden": list(self.hidden),
+            "weight_exponent": self.weight_exponent,
+            "multipliers": torch.from_numpy(self.multipliers),
+            "seed": self.seed,
+            "scenario_sha256": self.scenario_sha256,
+            "feature_version": self.feature_version,
+        }
+        torch.save(saved, part)
+        os.replace(part, path)
+
+    @classmethod
+    def load(cls, path: str | Path) -> Policy:
+        """Read a policy that `save` wrote.
+
+        Raises
+        ------
+        PolicyError
+            If the file is none, or of features that this version does not compute.
+        """
+        try:
+            saved = torch.load(path, weights_only=True)
+        except FileNotFoundError:
+            raise
+        except Exception as error:
+            raise PolicyError(f"{path}: not a policy file: {error}") from error
+        if not isinstance(saved, dict) or saved.get("format") != _FORMAT:
+            raise PolicyError(f"{path}: not a policy file of format {_FORMAT}")
+        if saved["feature_version"] != FEATURE_VERSION:
+            raise PolicyError(
+                f"{path}: feature_version = {saved['feature_version']}: must be {FEATURE_VERSION} "
+                f"({', '.join(FEATURES)})"
+            )
+        return cls(
+            parameters=saved["parameters"].numpy(),
+            hidden=tuple(saved["hidden"]),
+            weight_exponent=saved["weight_exponent"],
+            multipliers=saved["multipliers"].numpy(),
+            seed=saved["seed"],
+            scenario_sha256=saved["scenario_sha256"],
+            feature_version=saved["feature_version"],
+        )
+
+    def for_users(self, num_urllc: int) -> Policy:
+        """The same policy for `num_urllc` URLLC users: each observes the mean of the multipliers."""
+        multipliers = np.full(num_urllc, self.multipliers.mean())
+        return Policy(**{**vars(self), "multipliers": multipliers})
+
+
+def rollout(
+    simulator: Simulator,
+    policy: Policy,
+    num_slots: int | None = None,
+    *,
+    record: SlotRecord | None = None,
+    on_slot: Callable[[int], None] | None = None,
+) -> SlotRecord:
+    """Run all worlds of a simulator under a policy, without noise and with its multipliers frozen.
+
+    Parameters
+    ----------
+    simulator
+        Worlds at any slot; they move on.
+    policy
+        What decides.
+    num_slots
+        Slots to run; up to the horizon unless given.
+    record
+        Record of `num_slots` slots to fill; a new one unless given.
+    on_slot
+        Is told after every slot how many are done.
+
+    Returns
+    -------
+    record
+        All slots of all worlds.
+    """
+    slots = simulator.slots_left if num_slots is None else num_slots
+    whole = simulator.new_record(slots) if record is None else record
+    multipliers = np.broadcast_to(
+        policy.multipliers, (simulator.num_envs, len(policy.multipliers))
+    ).copy()
+    one = simulator.new_record(1)
+    with single_thread():
+        for slot in range(slots):
+            weights = policy.act(user_features(simulator, multipliers))
+            simulator.run("pf", 1, weights=weights, multipliers=multipliers, record=one)
+            copy_slot(one, whole, slot)
+            if on_slot is not None:
+                on_slot(slot + 1)
+    return whole
+
+
+def copy_slot(one: SlotRecord, whole: SlotRecord, slot: int) -> None:
+    """Copy the only slot of `one` into slot `slot` of `whole`."""
+    for source, goal in zip(one, whole, strict=True):
+        goal[:, slot] = source[:, 0]

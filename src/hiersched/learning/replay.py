@@ -1,0 +1,124 @@
+"""The replay buffer of both agents, in whole episodes, for all seeds side by side.
+
+It stores what happened (features, PRB counts, the parts of the rewards and the constraint), never a reward: the
+multiplier moves, and a reward that contained an old one would mislead.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from hiersched.env.features import NUM_FEATURES
+
+
+class Transitions(NamedTuple):
+    """A batch of transitions, leading axes (seeds, B)."""
+
+    features: NDArray[np.float32]  # (U, F) at the start of the slot
+    prb_count: NDArray[np.float32]  # (U,) executed
+    base_reward: NDArray[np.float32]  # (U,) of each user, without the constraint
+    constraint: NDArray[np.float32]  # (R,) y of each URLLC user
+    next_features: NDArray[np.float32]  # (U, F) at the start of the next slot
+
+
+class ReplayBuffer:
+    """The last rounds of training; a round is one episode in every environment.
+
+    Parameters
+    ----------
+    num_seeds, num_envs, num_slots
+        Seeds, environments of each seed, slots of an episode.
+    num_rounds
+        Rounds to keep: the capacity is ``num_rounds * num_envs * num_slots`` transitions a seed.
+    num_users, num_urllc
+        U and R.
+    """
+
+    _ARRAYS = ("_features", "_prb_count", "_base_reward", "_constraint")
+
+    def __init__(
+        self,
+        num_seeds: int,
+        num_envs: int,
+        num_slots: int,
+        num_rounds: int,
+        num_users: int,
+        num_urllc: int,
+    ) -> None:
+        place = (num_seeds, num_rounds, num_slots, num_envs)
+        # One slot more than the transitions: features of slot t + 1 are the next ones of slot t, the final ones included.
+        self._features = np.zeros(
+            (num_seeds, num_rounds, num_slots + 1, num_envs, num_users, NUM_FEATURES), np.float32
+        )
+        self._prb_count = np.zeros((*place, num_users), np.float32)
+        self._base_reward = np.zeros((*place, num_users), np.float32)
+        self._constraint = np.zeros((*place, num_urllc), np.float32)
+        self._num_rounds = num_rounds
+        self._num_slots = num_slots
+        self._num_envs = num_envs
+        self._started = 0
+        self._slot = 0
+
+    def __len__(self) -> int:
+        """Transitions of each seed that can be sampled."""
+        full = min(max(self._started - 1, 0), self._num_rounds - 1)
+        return (full * self._num_slots + self._slot) * self._num_envs
+
+    def start_round(self, features: NDArray[np.float32]) -> None:
+        """Begin a round with the first features, shape (seeds, envs, U, F); it takes the oldest round's place."""
+        self._started += 1
+        self._slot = 0
+        self._features[:, self._row, 0] = features
+
+    def add(
+        self,
+        prb_count: NDArray[np.uint32],
+        base_reward: NDArray[np.float64],
+        constraint: NDArray[np.float64],
+        next_features: NDArray[np.float32],
+    ) -> None:
+        """Add one slot of all environments; leading axes (seeds, envs), fields as in `Transitions`."""
+        row, slot = self._row, self._slot
+        self._prb_count[:, row, slot] = prb_count
+        self._base_reward[:, row, slot] = base_reward
+        self._constraint[:, row, slot] = constraint
+        self._features[:, row, slot + 1] = next_features
+        self._slot += 1
+
+    def sample(self, batch_size: int, generators: list[np.random.Generator]) -> Transitions:
+        """Draw `batch_size` transitions of each seed uniformly, with one generator a seed."""
+        size = len(self)
+        draws = np.stack([rng.integers(size, size=batch_size) for rng in generators])
+        age, place = np.divmod(draws, self._num_slots * self._num_envs)
+        slot, env = np.divmod(place, self._num_envs)
+        # `age` counts from the oldest full round; the round in progress comes last.
+        first = max(self._started - self._num_rounds, 0)
+        row = (first + age) % self._num_rounds
+        seed = np.arange(len(generators))[:, None]
+        here = (seed, row, slot, env)
+        return Transitions(
+            features=self._features[here],
+            prb_count=self._prb_count[here],
+            base_reward=self._base_reward[here],
+            constraint=self._constraint[here],
+            next_features=self._features[seed, row, slot + 1, env],
+        )
+
+    @property
+    def _row(self) -> int:
+        return (self._started - 1) % self._num_rounds
+
+    def state(self) -> dict[str, Any]:
+        """Everything needed to go on, for `load_state`."""
+        arrays = {name: torch.from_numpy(getattr(self, name)) for name in self._ARRAYS}
+        return {"arrays": arrays, "started": self._started, "slot": self._slot}
+
+    def load_state(self, state: dict[str, Any]) -> None:
+        """Take over what `state` returned."""
+        for name, saved in state["arrays"].items():
+            setattr(self, name, saved.numpy())
+        self._started, self._slot = state["started"], state["slot"]
