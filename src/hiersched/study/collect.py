@@ -1,0 +1,222 @@
+"""From the logs of a results folder to data frames: one row a log, in the scenario's order."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from hiersched.log import LogError, LogReader
+from hiersched.scenario import Scenario
+from hiersched.study.fifo import FloatArray
+from hiersched.study.metrics import (
+    RunMetrics,
+    run_metrics,
+    slots_per_window,
+    tracking_error_by_window_cm,
+)
+
+SWEEP_AXES = ("rayleigh_scale", "sampling_s", "reference", "load")
+BASELINE = "pf"
+_GAIN_LOG = re.compile(r"(?P<method>[a-z0-9]+)_(?P<gain>nominal|adjusted)_seed(?P<seed>\d+)\.mcap")
+
+
+def evaluation_log(results_dir: Path, policy: str, seed: int) -> Path:
+    """Return the path of the evaluation log of a policy in a world."""
+    return _existing(results_dir / "eval" / policy / f"seed{seed}.mcap")
+
+
+def evaluation_frame(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
+    """Measure every evaluation: columns of `RunMetrics`, one row a policy and seed.
+
+    Raises
+    ------
+    FileNotFoundError
+        If a log of the scenario's policies and seeds is missing.
+    """
+    rows = [
+        _row(run_metrics(evaluation_log(results_dir, policy, seed), scenario), scenario)
+        for policy in scenario.evaluate.policies
+        for seed in scenario.evaluate.seeds
+    ]
+    return pd.DataFrame(rows)
+
+
+def sweep_frame(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
+    """Measure every sweep: columns of `RunMetrics`, one row an axis, value, policy and seed."""
+    rows = []
+    for axis in SWEEP_AXES:
+        values = getattr(scenario.sweeps, axis)
+        for policy in scenario.sweeps.policies:
+            logs = _sweep_logs(results_dir / "sweep" / axis / policy)
+            for value in values:
+                for seed in scenario.sweeps.seeds:
+                    path = logs.get((_axis_key(value), seed))
+                    if path is None:
+                        raise FileNotFoundError(
+                            f"{results_dir / 'sweep' / axis / policy}: no log of {axis} = {value}, "
+                            f"seed {seed}"
+                        )
+                    row = _row(run_metrics(path, scenario), scenario)
+                    rows.append({**row, "axis": axis, "value": value})
+    return pd.DataFrame(rows)
+
+
+def gain_frame(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
+    """Read the tracking errors of the gain study, mean over robots.
+
+    Returns
+    -------
+    DataFrame
+        Columns method, plant, gain (nominal, adjusted), seed, slot (window, 1 = the first),
+        violated, error_cm; the scenario's own method first.
+    """
+    folder = results_dir / "gain_study"
+    found = [
+        match for path in sorted(folder.glob("*.mcap")) if (match := _GAIN_LOG.fullmatch(path.name))
+    ]
+    own = scenario.control.method
+    methods = sorted({match["method"] for match in found}, key=lambda name: (name != own, name))
+    if not methods:
+        raise FileNotFoundError(f"{folder}: no log <method>_<nominal|adjusted>_seed<N>.mcap")
+    rows: list[dict[str, Any]] = []
+    for method in methods:
+        for gain in ("nominal", "adjusted"):
+            for seed in scenario.gain_study.seeds:
+                path = _existing(folder / f"{method}_{gain}_seed{seed}.mcap")
+                rows += _gain_rows(path, scenario, {"method": method, "gain": gain, "seed": seed})
+    return pd.DataFrame(rows)
+
+
+def gain_schedules(results_dir: Path, scenario: Scenario) -> dict[str, Any]:
+    """Read the gain schedules (GainSchedule) attached to the logs of the gain study, by method."""
+    from hiersched.control import GainSchedule
+
+    frame_methods = dict.fromkeys(
+        match["method"]
+        for path in sorted((results_dir / "gain_study").glob("*.mcap"))
+        if (match := _GAIN_LOG.fullmatch(path.name))
+    )
+    seed = scenario.gain_study.seeds[0]
+    schedules = {}
+    for method in sorted(frame_methods, key=lambda name: (name != scenario.control.method, name)):
+        path = _existing(results_dir / "gain_study" / f"{method}_adjusted_seed{seed}.mcap")
+        with LogReader(path, verify="chunks") as log:
+            schedules[method] = GainSchedule.from_json(_schedule_text(log))
+    return schedules
+
+
+def training_frame(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
+    """Read rewards and backlogs of every training episode, mean over its slots (and users).
+
+    Returns
+    -------
+    DataFrame
+        Columns seed, episode (1 = the first), urllc_reward, embb_reward, urllc_backlog_packets,
+        embb_backlog_packets.
+
+    Raises
+    ------
+    LogError
+        If a log does not consist of whole episodes.
+    """
+    frames = []
+    for seed in scenario.learning.seeds:
+        path = results_dir / "train" / scenario.learning.algorithm / f"seed{seed}.mcap"
+        with LogReader(_existing(path), verify="chunks") as log:
+            length = int(log.metadata.get("slots_per_episode", scenario.learning.slots_per_episode))
+            reward = log.read("/delay", ["reward_urllc", "reward_embb"])
+            backlog = log.read("/queue", ["backlog_packets"])["backlog_packets"]
+            urllc = log.dims.num_urllc
+        if not len(backlog) or len(backlog) % length:
+            raise LogError(path, 0, f"{len(backlog)} slots are no whole episodes of {length} slots")
+        columns = {
+            "urllc_reward": _by_episode(reward["reward_urllc"], length),
+            "embb_reward": _by_episode(reward["reward_embb"], length),
+            "urllc_backlog_packets": _by_episode(backlog[:, :urllc], length),
+            "embb_backlog_packets": _by_episode(backlog[:, urllc:], length),
+        }
+        episode = np.arange(1, len(backlog) // length + 1)
+        frames.append(pd.DataFrame({"seed": seed, "episode": episode, **columns}))
+    return pd.concat(frames, ignore_index=True)
+
+
+def read_evaluation(
+    results_dir: Path, policy: str, seed: int, topic: str, field: str
+) -> NDArray[Any]:
+    """Read one field of an evaluation log, shape (T, ...)."""
+    with LogReader(evaluation_log(results_dir, policy, seed), verify="chunks") as log:
+        return log.read(topic, [field])[field]
+
+
+def violation_column(level: float) -> str:
+    """Return the column with the share of URLLC users that miss a reliability level."""
+    return f"urllc_users_violating_{level:g}"
+
+
+def _row(metrics: RunMetrics, scenario: Scenario) -> dict[str, Any]:
+    row = asdict(metrics)
+    by_user: Iterable[float] = row.pop("late_share_by_user")
+    violating: Iterable[float] = row.pop("urllc_users_violating")
+    levels = scenario.traffic.reliability_levels
+    for level, share in zip(levels, violating, strict=True):
+        row[violation_column(level)] = share
+    for user, share in enumerate(by_user):
+        row[f"late_share_user_{user}"] = share
+    return row
+
+
+def _sweep_logs(folder: Path) -> dict[tuple[float | str, int], Path]:
+    """Find the logs of a folder by value and seed, as their metadata has them."""
+    logs: dict[tuple[float | str, int], Path] = {}
+    for path in sorted(folder.glob("*.mcap")):
+        with LogReader(path, verify="chunks") as log:
+            metadata = log.metadata
+        logs[_axis_key(metadata["value"]), int(metadata["seed"])] = path
+    return logs
+
+
+def _axis_key(value: float | str) -> float | str:
+    try:
+        return float(value)
+    except ValueError:
+        return value
+
+
+def _gain_rows(path: Path, scenario: Scenario, labels: dict[str, Any]) -> list[dict[str, Any]]:
+    from hiersched.control import GainSchedule
+
+    with LogReader(path, verify="chunks") as log:
+        error_m: FloatArray = log.read("/robots", ["tracking_error_m"])["tracking_error_m"]
+        plant = GainSchedule.from_json(_schedule_text(log)).kind
+    error_cm = tracking_error_by_window_cm(error_m, slots_per_window(scenario)).mean(axis=1)
+    violated = scenario.gain_study.violation_windows
+    return [
+        {**labels, "plant": plant, "slot": slot, "violated": slot in violated, "error_cm": error}
+        for slot, error in enumerate(error_cm.tolist(), start=1)
+    ]
+
+
+def _schedule_text(log: LogReader) -> str:
+    for name, data in log.attachments.items():
+        if name.endswith("schedule.json"):
+            return data.decode()
+    raise LogError(log.path, 0, "no gain schedule (schedule.json) is attached")
+
+
+def _by_episode(values: NDArray[Any], length: int) -> NDArray[Any]:
+    """Return the mean over the slots of each episode, and over users."""
+    means: NDArray[Any] = values.reshape(len(values) // length, -1).mean(axis=1)
+    return means
+
+
+def _existing(path: Path) -> Path:
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such log")
+    return path

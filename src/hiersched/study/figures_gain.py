@@ -1,0 +1,90 @@
+"""Table II as a figure: tracking error with nominal and adjusted gains under forced delays."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from hiersched.scenario import Scenario
+from hiersched.study.style import (
+    PAPER_COLOR,
+    Look,
+    caption,
+    draw_series,
+    inside_legend,
+    new_figure,
+)
+
+_NOMINAL = Look("nominal gain", "#D55E00", (0, (4, 1.5)), "s")
+_ADJUSTED = Look("adjusted gain", "#0072B2", "-", "o")
+_RATIOS = {
+    "krasovskii": Look("", "#0072B2", "none", "o"),
+    "razumikhin": Look("", "#009E73", "none", "^"),
+}
+
+
+def draw_gain(gains: pd.DataFrame, scenario: Scenario) -> Figure:
+    """Draw the tracking error of every window, and adjusted over nominal where delays violate.
+
+    Parameters
+    ----------
+    gains
+        From `summary.gain_table`.
+    scenario
+        The scenario that was run.
+    """
+    figure, (left, right) = new_figure(width_ratios=[1.5, 1.0])
+    method, plant = str(gains["method"].iloc[0]), str(gains["plant"].iloc[0])
+    own = gains[gains["method"] == method]
+    for column, look in (("nominal_cm", _NOMINAL), ("adjusted_cm", _ADJUSTED)):
+        bounds = own[f"{column}_lo"], own[f"{column}_hi"]
+        draw_series(left, own["slot"], own[column], *bounds, look)
+    for slot in scenario.gain_study.violation_windows:
+        left.axvspan(slot - 0.5, slot + 0.5, color="#dddddd", zorder=0, linewidth=0)
+    left.set_ylim(bottom=0.0)
+    left.set_xlim(0.3, scenario.gain_study.num_windows + 0.7)
+    left.set_title(f"(a) tracking error, {plant} plant, {method.capitalize()} gains")
+    left.set_xticks([1, *range(5, scenario.gain_study.num_windows + 1, 5)])
+    left.set_xlabel(f"time slot (window of {scenario.robot.window_s:g} s)")
+    left.set_ylabel("RMS over the window [cm]")
+    inside_legend(left, columns=2)
+    violated = gains[gains["violated"]]
+    slots = sorted(violated["slot"].unique())
+    groups = list(violated.groupby("method", sort=False))
+    for number, (name, group) in enumerate(groups):
+        look = _RATIOS.get(str(name), Look("", "#5f5f5f", "none", "D"))
+        x = [
+            slots.index(slot) + 0.16 * (number - 0.5 * (len(groups) - 1)) for slot in group["slot"]
+        ]
+        label = f"{str(name).capitalize()}, {group['plant'].iloc[0]} plant"
+        bounds = group["ratio_lo"], group["ratio_hi"]
+        draw_series(right, x, group["ratio"], *bounds, look, label=label)
+    paper = violated[violated["method"] == method]
+    right.plot(
+        [slots.index(slot) for slot in paper["slot"]],
+        paper["paper_ratio"],
+        linestyle="none",
+        marker="*",
+        markersize=9,
+        color=PAPER_COLOR,
+        label="paper (Table II)",
+        zorder=4,
+    )
+    right.axhline(1.0, color="#5f5f5f", linewidth=0.9)
+    right.set_xticks(range(len(slots)), [str(slot) for slot in slots])
+    right.set_xlim(-0.5, len(slots) - 0.5)
+    top = float(violated["ratio_hi"].replace(np.inf, np.nan).max())
+    right.set_ylim(0.0, 1.2 if np.isnan(top) else max(1.2, 1.05 * top))
+    mean = violated.loc[violated["method"] == method, "ratio"].mean()
+    right.set_title(f"(b) adjusted / nominal: {mean:.2f} on average")
+    right.set_xlabel("time slot of violated delay")
+    right.set_ylabel("ratio of tracking errors [1]")
+    inside_legend(right)
+    caption(
+        figure,
+        f"Mean over robots and {len(scenario.gain_study.seeds)} seeds; bars: 95 % intervals, "
+        "Student t in (a), Fieller in (b). Grey: violated delay; elsewhere both loops have the "
+        "nominal gain.",
+    )
+    return figure

@@ -1,0 +1,229 @@
+"""Figures 4 to 7: data rates, their distribution and what they depend on."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from hiersched.scenario import Scenario
+from hiersched.study.collect import BASELINE
+from hiersched.study.paper import TABLE3
+from hiersched.study.style import (
+    PAPER_COLOR,
+    SLICES,
+    Look,
+    caption,
+    draw_series,
+    log_ticks,
+    new_figure,
+    policy_look,
+    shared_legend,
+)
+
+SPAN_SHARE = 0.15
+"""Least half height of a rate axis that does not start at 0, as a share of its middle."""
+
+
+_PAIRS: dict[tuple[str, bool], tuple[Any, str]] = {
+    ("urllc", True): ("-", "o"),
+    ("urllc", False): ((0, (4, 1.5)), "D"),
+    ("embb", True): ((0, (6, 1.5, 1, 1.5)), "s"),
+    ("embb", False): ((0, (1, 1.2)), "^"),
+}
+"""Dashes and marker of a slice under the learned policy (True) or PF."""
+
+
+def draw_rate_cdf(rates: pd.DataFrame, scenario: Scenario) -> Figure:
+    """Draw the distribution of the data rates of both slices, learned policy and PF."""
+    figure, axes = new_figure(sharey=True)
+    window = f"{scenario.robot.window_s:g} s"
+    titles = {"slot": "(a) rate of a user in a slot", "window": f"(b) rate of a user over {window}"}
+    for panel, (span, title) in zip(axes, titles.items(), strict=True):
+        for (policy, name), curve in rates[rates["span"] == span].groupby(
+            ["policy", "slice"], sort=False
+        ):
+            look = _pair_look(str(policy), str(name), scenario)
+            x = curve["rate_mbps"]
+            panel.fill_between(
+                x,
+                curve["share_lo"].clip(0.0, 1.0),
+                curve["share_hi"].clip(0.0, 1.0),
+                color=look.color,
+                alpha=0.15,
+                linewidth=0,
+            )
+            panel.plot(x, curve["share"], color=look.color, linestyle=look.dashes, label=look.label)
+        panel.set_title(title)
+        panel.set_xlabel("data rate [Mbit/s]")
+        panel.set_ylim(0.0, 1.02)
+        drawn = rates[(rates["span"] == span) & (rates["share"] > 0.0)]["rate_mbps"]
+        panel.set_xlim(0.93 * float(drawn.min()), float(drawn.max()))
+    axes[0].set_ylabel("share of rates at or below")
+    shared_legend(figure, axes[0])
+    caption(
+        figure,
+        f"Mean and {_over_seeds(scenario.evaluate.seeds)}, users of a slice pooled; bands end "
+        "at 0 and 1. Steps in (a): 1, 2, 3 … PRBs. The rate axes do not start at 0.",
+    )
+    return figure
+
+
+def draw_rayleigh(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
+    """Draw data rates and queue lengths against the Rayleigh scale."""
+    figure, axes = new_figure()
+    table = sweeps[sweeps["axis"] == "rayleigh_scale"]
+    values = [float(value) for value in scenario.sweeps.rayleigh_scale]
+    for policy in _shown(scenario):
+        own = table[table["policy"] == policy]
+        for name in SLICES:
+            look = _pair_look(policy, name, scenario)
+            _draw(axes[0], values, own, f"{name}_rate_mbps", look)
+            _draw(axes[1], values, own, f"{name}_backlog_packets", look)
+    for panel in axes:
+        log_ticks(panel, values)
+        panel.set_xlabel("Rayleigh scale σ of the fading amplitude [1]")
+    _mark_paper_rates(axes[0])
+    axes[0].set_title("(a) mean data rate per user")
+    axes[0].set_ylabel("data rate [Mbit/s]")
+    axes[1].set_title("(b) mean queue length per user")
+    axes[1].set_ylabel("backlog [packets]")
+    axes[1].set_yscale("log")
+    shared_legend(figure, axes[0], columns=3)
+    caption(
+        figure,
+        f"Mean and {_over_seeds(scenario.sweeps.seeds)}. The rate axis does not start at 0. Stars: "
+        "mean of the three slots of the paper's Table III.",
+    )
+    return figure
+
+
+def draw_sampling(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
+    """Draw data rates against the control sampling interval."""
+    table = sweeps[sweeps["axis"] == "sampling_s"]
+    figure, axes = new_figure()
+    values = [1e3 * value for value in scenario.sweeps.sampling_s]
+    for panel, name, letter in zip(axes, ("embb", "urllc"), "ab", strict=True):
+        for policy in _shown(scenario):
+            own = table[table["policy"] == policy]
+            look = policy_look(policy, scenario.learning.algorithm)
+            _draw(panel, values, own, f"{name}_rate_mbps", look)
+        log_ticks(panel, values)
+        panel.set_xlabel("sampling interval h [ms]")
+        change = _change_text(table, f"{name}_rate_mbps", scenario)
+        panel.set_title(f"({letter}) {SLICES[name].label} data rate{change}")
+        panel.set_ylabel("data rate per user [Mbit/s]")
+        _widen(panel)
+    shared_legend(figure, axes[0])
+    caption(
+        figure, f"Mean and {_over_seeds(scenario.sweeps.seeds)}. The rate axes do not start at 0."
+    )
+    return figure
+
+
+def draw_dexterity(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
+    """Draw data rates against the dexterity index that the references give."""
+    table = sweeps[sweeps["axis"] == "reference"]
+    figure, axes = new_figure()
+    for panel, name, letter in zip(axes, ("embb", "urllc"), "ab", strict=True):
+        for policy in _shown(scenario):
+            own = table[table["policy"] == policy].sort_values("dexterity_index")
+            look = policy_look(policy, scenario.learning.algorithm)
+            index = own["dexterity_index"].to_numpy()
+            _draw(panel, index, own, f"{name}_rate_mbps", look)
+            sideways = [
+                index - own["dexterity_index_lo"].to_numpy(),
+                own["dexterity_index_hi"].to_numpy() - index,
+            ]
+            rate = own[f"{name}_rate_mbps"].to_numpy()
+            panel.errorbar(
+                index, rate, xerr=sideways, fmt="none", ecolor=look.color, elinewidth=0.9
+            )
+        panel.set_xlabel("measured dexterity index [1]")
+        change = _change_text(table, f"{name}_rate_mbps", scenario)
+        panel.set_title(f"({letter}) {SLICES[name].label} data rate{change}")
+        panel.set_ylabel("data rate per user [Mbit/s]")
+        panel.margins(x=0.14)
+        _widen(panel)
+        _name_references(panel, table)
+    shared_legend(figure, axes[0])
+    caption(
+        figure, f"Mean and {_over_seeds(scenario.sweeps.seeds)}. The rate axes do not start at 0."
+    )
+    return figure
+
+
+def _shown(scenario: Scenario) -> list[str]:
+    """List learned policy and PF, as far as the sweeps have them."""
+    pair = (scenario.learning.algorithm, BASELINE)
+    return [policy for policy in pair if policy in scenario.sweeps.policies]
+
+
+def _pair_look(policy: str, name: str, scenario: Scenario) -> Look:
+    """Colour says which slice; dashes and markers say both, for readers in grey."""
+    own = policy_look(policy, scenario.learning.algorithm)
+    part = SLICES[name]
+    dashes, marker = _PAIRS[name, policy == scenario.learning.algorithm]
+    return Look(f"{part.label}, {own.label}", part.color, dashes, marker)
+
+
+def _change_text(table: pd.DataFrame, measure: str, scenario: Scenario) -> str:
+    """Say how far the learned policy's mean varies along a sweep, for a title."""
+    own = table.loc[table["policy"] == scenario.learning.algorithm, measure]
+    if own.empty:
+        return ""
+    return f": DRL varies by {100.0 * (own.max() - own.min()) / own.mean():.2g} %"
+
+
+def _draw(
+    panel: Axes, x: Sequence[float] | np.ndarray, table: pd.DataFrame, measure: str, look: Look
+) -> None:
+    draw_series(panel, x, table[measure], table[f"{measure}_lo"], table[f"{measure}_hi"], look)
+
+
+def _mark_paper_rates(panel: Axes) -> None:
+    """Mark the URLLC rates of Table III, mean over its three slots, beside the paper's scale 1."""
+    for name, rates, face, place in (
+        ("DRL", [row.drl_mbps for row in TABLE3.values()], PAPER_COLOR, 0.94),
+        ("PF", [row.pf_mbps for row in TABLE3.values()], "white", 1.06),
+    ):
+        panel.plot(
+            [place],
+            [float(np.mean(rates))],
+            linestyle="none",
+            marker="*",
+            markersize=8,
+            markerfacecolor=face,
+            markeredgecolor=PAPER_COLOR,
+            zorder=5,
+            label=f"paper, URLLC, {name}",
+        )
+
+
+def _widen(panel: Axes) -> None:
+    """Keep a narrow range of rates from filling the whole height: small changes stay small."""
+    low, high = panel.get_ylim()
+    middle = 0.5 * (low + high)
+    half = max(0.5 * (high - low), SPAN_SHARE * middle)
+    panel.set_ylim(middle - half, middle + half)
+
+
+def _name_references(panel: Axes, table: pd.DataFrame) -> None:
+    """Write each reference above its points."""
+    for reference, group in table.groupby("value", sort=False):
+        panel.annotate(
+            str(reference).replace("_", "-"),
+            (float(group["dexterity_index"].mean()), 0.98),
+            xycoords=panel.get_xaxis_transform(),
+            ha="center",
+            va="top",
+            fontsize=7,
+        )
+
+
+def _over_seeds(seeds: Sequence[int]) -> str:
+    return f"Student t 95 % interval over {len(seeds)} seeds"

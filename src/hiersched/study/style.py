@@ -1,0 +1,292 @@
+"""One look for all figures: sizes, palette, lines and markers that also tell apart in grey.
+
+Figures are made without pyplot, so nothing here depends on a display or leaves state behind.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import textwrap
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import matplotlib as mpl
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.container import ErrorbarContainer
+from matplotlib.figure import Figure
+from matplotlib.ticker import FixedFormatter, FixedLocator, NullFormatter, NullLocator
+
+from hiersched.study.files import write_bytes
+
+WIDTH_IN = 7.2
+PANEL_HEIGHT_IN = 2.7
+DPI = 200
+CAPTION_CHARACTERS = 165
+GREY = "#5f5f5f"
+PAPER_COLOR = "#000000"
+
+_RC: dict[Any, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 8.0,
+    "axes.titlesize": 8.5,
+    "axes.titlelocation": "left",
+    "axes.titlepad": 7.0,
+    "axes.labelsize": 8.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.linewidth": 0.7,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "grid.color": "#dddddd",
+    "grid.linewidth": 0.5,
+    "xtick.labelsize": 7.5,
+    "ytick.labelsize": 7.5,
+    "legend.fontsize": 7.5,
+    "legend.frameon": False,
+    "legend.handlelength": 2.6,
+    "lines.linewidth": 1.4,
+    "lines.markersize": 4.5,
+    "errorbar.capsize": 2.5,
+    "axes.formatter.useoffset": False,
+    "figure.constrained_layout.w_pad": 0.06,
+    "figure.constrained_layout.h_pad": 0.05,
+    "svg.hashsalt": "hiersched",
+    "svg.fonttype": "path",
+    "path.simplify": True,
+}
+
+
+class Look(NamedTuple):
+    """How a series is drawn: label, colour (Okabe and Ito's palette), dashes, marker."""
+
+    label: str
+    color: str
+    dashes: Any
+    marker: str
+
+
+_POLICIES = {
+    "pf": Look("PF", "#D55E00", (0, (4, 1.5)), "s"),
+    "max_weight": Look("max-weight", "#009E73", (0, (6, 1.5, 1, 1.5)), "^"),
+    "drift_plus_penalty": Look("drift-plus-penalty", "#CC79A7", (0, (1, 1.2)), "D"),
+    "pf_average": Look("PF, average rate", "#E69F00", (0, (3, 1, 1, 1, 1, 1)), "v"),
+    "round_robin": Look("round robin", "#56B4E9", (0, (2, 2)), "P"),
+    "max_rate": Look("max rate", "#999999", (0, (8, 2)), "X"),
+    "m_lwdf": Look("M-LWDF", "#7a5195", (0, (5, 1, 1, 1)), "<"),
+    "exp_pf": Look("EXP/PF", "#8c6d31", (0, (3, 3)), ">"),
+    "log_rule": Look("log rule", "#3b3b3b", (0, (1, 2.5)), "p"),
+    "edf": Look("EDF", "#117733", (0, (7, 1, 2, 1)), "h"),
+}
+_LEARNED_COLOR = "#0072B2"
+SLICES = {
+    "embb": Look("eMBB", "#E69F00", (0, (4, 1.5)), "s"),
+    "urllc": Look("URLLC", "#0072B2", "-", "o"),
+}
+
+
+def policy_look(policy: str, learned: str = "ddpg") -> Look:
+    """Return how a policy is drawn, the same in every figure."""
+    if policy == learned:
+        return Look(f"DRL ({policy.upper()})", _LEARNED_COLOR, "-", "o")
+    return _POLICIES.get(policy, Look(policy, GREY, "-", "*"))
+
+
+@contextmanager
+def house_style() -> Iterator[None]:
+    """Draw with the house style inside a with block."""
+    with mpl.rc_context(_RC):
+        yield
+
+
+def new_figure(
+    columns: int = 2, *, height_in: float = PANEL_HEIGHT_IN, **subplots: Any
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure of panels side by side."""
+    figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
+    axes = figure.subplots(1, columns, squeeze=False, **subplots)
+    return figure, list(axes[0])
+
+
+def caption(figure: Figure, text: str) -> None:
+    """Write small print below the panels."""
+    lines = textwrap.fill(text, CAPTION_CHARACTERS)
+    figure.supxlabel(lines, fontsize=6.5, color=GREY, x=0.01, ha="left", multialignment="left")
+
+
+def shared_legend(
+    figure: Figure, axes: Axes, *, columns: int | None = None, side: str = "left"
+) -> None:
+    """Put a panel's legend above the panels, for all of them."""
+    # Matplotlib lists plain lines before error bars: measured series first, references last.
+    entries = sorted(
+        zip(*axes.get_legend_handles_labels(), strict=True),
+        key=lambda entry: not isinstance(entry[0], ErrorbarContainer),
+    )
+    handles, labels = [entry[0] for entry in entries], [entry[1] for entry in entries]
+    figure.legend(
+        handles,
+        labels,
+        loc="outside upper right" if side == "right" else "outside upper left",
+        ncols=columns or len(labels),
+        columnspacing=1.4,
+    )
+
+
+def inside_legend(axes: Axes, *, columns: int = 1) -> None:
+    """Put a legend into the lower part of a panel, on white so that lines do not run through it."""
+    axes.legend(
+        loc="lower center",
+        ncols=columns,
+        frameon=True,
+        facecolor="white",
+        framealpha=0.9,
+        edgecolor="none",
+    )
+
+
+def note_at(axes: Axes, text: str, x: float, y: float, **options: Any) -> None:
+    """Write small text into a panel, on white."""
+    axes.annotate(
+        text,
+        (x, y),
+        fontsize=7,
+        bbox={"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 0.8},
+        zorder=5,
+        **options,
+    )
+
+
+def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
+    """Write a figure as SVG and PNG; equal figures give equal bytes (on one version of matplotlib).
+
+    Parameters
+    ----------
+    figure
+        The figure.
+    folder
+        Where to.
+    name
+        File name without suffix.
+
+    Returns
+    -------
+    list of Path
+        The two files.
+    """
+    written = []
+    for suffix, metadata in (("svg", {"Date": None}), ("png", {"Software": None})):
+        stream = io.BytesIO()
+        figure.savefig(stream, format=suffix, dpi=DPI, metadata=metadata)
+        written.append(write_bytes(folder / f"{name}.{suffix}", stream.getvalue()))
+    return written
+
+
+def draw_series(
+    axes: Axes,
+    x: npt.ArrayLike,
+    mean: npt.ArrayLike,
+    lo: npt.ArrayLike,
+    hi: npt.ArrayLike,
+    look: Look,
+    *,
+    floor: float | None = None,
+    label: str | None = None,
+) -> None:
+    """Draw means with their intervals as error bars, joined by a line.
+
+    Parameters
+    ----------
+    axes
+        Panel.
+    x, mean, lo, hi
+        Points, shape (n,).
+    look
+        Colour, dashes, marker, label.
+    floor
+        Where a logarithmic axis shows 0: means of 0 get an open marker there, bars stop there.
+    label
+        Label instead of the look's own.
+    """
+    middle, low, high = (np.asarray(values, dtype=np.float64) for values in (mean, lo, hi))
+    places = np.asarray(x, dtype=np.float64)
+    zero = np.zeros(len(middle), bool)
+    if floor is not None:
+        zero = middle <= 0.0
+        middle, low, high = (np.maximum(values, floor) for values in (middle, low, high))
+    axes.errorbar(
+        places,
+        middle,
+        yerr=[middle - low, high - middle],
+        color=look.color,
+        linestyle=look.dashes,
+        marker=look.marker,
+        elinewidth=0.9,
+        label=look.label if label is None else label,
+    )
+    if zero.any():
+        axes.plot(
+            places[zero],
+            middle[zero],
+            linestyle="none",
+            marker=look.marker,
+            markerfacecolor="white",
+            markeredgecolor=look.color,
+            zorder=4,
+        )
+
+
+def zero_floor(values: npt.ArrayLike) -> float:
+    """Return where a logarithmic axis shows 0: well below the smallest positive value."""
+    finite = np.asarray(values, dtype=np.float64).ravel()
+    positive = finite[np.isfinite(finite) & (finite > 0.0)]
+    if not positive.size:
+        return 1e-6
+    return float(10.0 ** (math.floor(math.log10(float(positive.min())) - 0.1) - 0.7))
+
+
+def log_axis_with_zero(
+    axes: Axes, floor: float, values: npt.ArrayLike, *, which: str = "y"
+) -> None:
+    """Make an axis logarithmic with a mark for 0 at its lower end, set apart by a dotted line.
+
+    Parameters
+    ----------
+    axes
+        Panel.
+    floor
+        Where 0 is shown, from `zero_floor`.
+    values
+        What has to fit, of any shape; NaN counts for nothing.
+    which
+        ``x`` or ``y``.
+    """
+    finite = np.asarray(values, dtype=np.float64).ravel()
+    top = max([10.0 * floor, *finite[np.isfinite(finite)].tolist()])
+    first = math.ceil(math.log10(floor))
+    last = max(first + 1, math.ceil(math.log10(top)))
+    decades = range(first, last + 1)
+    axis = axes.yaxis if which == "y" else axes.xaxis
+    (axes.set_yscale if which == "y" else axes.set_xscale)("log")
+    limits = axes.set_ylim if which == "y" else axes.set_xlim
+    limits(floor * 0.72, max(top * 1.3, 10.0 ** (first + 1)))
+    shown = [d for d in decades if 10.0**d <= max(top * 1.3, 10.0 ** (first + 1))]
+    axis.set_major_locator(FixedLocator([floor, *(10.0**d for d in shown)]))
+    axis.set_major_formatter(FixedFormatter(["0", *(f"$10^{{{d}}}$" for d in shown)]))
+    axis.set_minor_locator(NullLocator())
+    line = axes.axhline if which == "y" else axes.axvline
+    line(math.sqrt(floor * 10.0**first), color=GREY, linestyle=(0, (1, 3)), linewidth=0.8, zorder=0)
+
+
+def log_ticks(axes: Axes, values: Sequence[float], *, which: str = "x") -> None:
+    """Make an axis logarithmic with a tick at each of the values."""
+    axis = axes.xaxis if which == "x" else axes.yaxis
+    (axes.set_xscale if which == "x" else axes.set_yscale)("log")
+    axis.set_major_locator(FixedLocator(list(values)))
+    axis.set_major_formatter(FixedFormatter([f"{value:g}" for value in values]))
+    axis.set_minor_locator(NullLocator())
+    axis.set_minor_formatter(NullFormatter())

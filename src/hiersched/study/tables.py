@@ -1,0 +1,231 @@
+"""Writes the tables of a results folder, as CSV with full precision and as Markdown to read."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from hiersched.scenario import Scenario, load_scenario, parameter_notes, scenario_to_dict
+from hiersched.scenario.load import CONFIG
+from hiersched.study.collect import (
+    evaluation_frame,
+    gain_frame,
+    gain_schedules,
+    sweep_frame,
+)
+from hiersched.study.files import write_bytes
+from hiersched.study.paper import SYMBOLS
+from hiersched.study.summary import (
+    comparison_table,
+    gain_table,
+    policy_table,
+    rate_table,
+    schedule_table,
+    sweep_table,
+)
+
+_SEEDS = "Means over seeds, in brackets their Student t 95 % intervals."
+_FIELLER = "Ratios are of means over the same worlds, in brackets Fieller's 95 % interval."
+TITLES = {
+    "table1_parameters": (
+        "Table I: parameters",
+        "`paper`: the value stands in the paper; `assumed`: it does not, or this scenario departs "
+        "from it.",
+    ),
+    "table2_gain": (
+        "Table II: tracking error in the windows of violated delay",
+        f"{_SEEDS} Root mean square over a window, mean over robots; slot 1 is the first window. "
+        f"{_FIELLER} The paper gives no unit: only its ratio compares.",
+    ),
+    "table2_methods": (
+        "Tracking error in every window of the gain study, by method",
+        f"{_SEEDS} {_FIELLER}",
+    ),
+    "table3_rate": (
+        "Table III: mean data rate of the URLLC users",
+        f"{_SEEDS} Slot 1 is the first slot of a run; `mean` is over the whole run. The channel "
+        "gain is the mean of |h|² over URLLC users and PRBs, 2 s² in expectation; the paper does "
+        f"not define its own. {_FIELLER}",
+    ),
+    "policies": (
+        "Policies in the same worlds",
+        f"{_SEEDS} Delays are of delivered packets; packets that still wait count in the late "
+        "shares alone. An interval of a share may reach below 0: it is symmetric. The CSV has more "
+        "columns.",
+    ),
+    "comparison": (
+        "Policies against PF in the same worlds",
+        f"{_FIELLER} Differences with Student t 95 % intervals. A ratio's interval is unbounded "
+        "where PF's own mean does not differ significantly from 0.",
+    ),
+    "sweeps": (
+        "Sweeps: one axis varied at a time",
+        f"{_SEEDS} The CSV has more columns.",
+    ),
+    "gains": (
+        "Gain schedule",
+        "Deviation is the Frobenius norm of adjusted minus nominal gain; spectral radii are the "
+        "largest over all constant delays up to T, of the gain in force and of the nominal one.",
+    ),
+}
+
+_READ_MEASURES = (
+    "urllc_late_share",
+    "embb_late_share",
+    "urllc_rate_mbps",
+    "embb_rate_mbps",
+    "urllc_backlog_packets",
+    "embb_backlog_packets",
+    "urllc_delay_p99_s",
+    "tracking_error_cm",
+    "dexterity_index",
+)
+_READ_INTERVALS = [f"{name}{end}" for name in _READ_MEASURES for end in ("", "_lo", "_hi")]
+READ_COLUMNS = {
+    "policies": ["policy", "seeds", *_READ_INTERVALS],
+    "sweeps": ["axis", "value", "policy", *_READ_INTERVALS],
+}
+"""Columns of the Markdown of wide tables; the CSV has all."""
+
+
+def write_tables(
+    results_dir: str | os.PathLike[str], scenario: Scenario, *, defaults: Path | None = None
+) -> list[Path]:
+    """Compute every table from the logs of a results folder and write it to ``tables/``.
+
+    Parameters
+    ----------
+    results_dir
+        ``results/<scenario>`` with its logs.
+    scenario
+        The scenario that was run.
+    defaults
+        File with every parameter's meaning, for Table I; ``config/defaults.yaml`` unless given.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+
+    Raises
+    ------
+    FileNotFoundError
+        If a log is missing.
+    LogError
+        If a log is damaged or contradicts itself.
+    """
+    results = Path(results_dir)
+    folder = results / "tables"
+    folder.mkdir(parents=True, exist_ok=True)
+    evaluation, sweeps = evaluation_frame(results, scenario), sweep_frame(results, scenario)
+    gains = gain_table(gain_frame(results, scenario))
+    first = gains["method"] == gains["method"].iloc[0]
+    tables = {
+        "table1_parameters": parameter_table(scenario, defaults),
+        "table2_gain": gains[first & gains["violated"]].drop(columns="violated"),
+        "table2_methods": gains,
+        "table3_rate": rate_table(results, scenario),
+        "policies": policy_table(evaluation, scenario),
+        "comparison": comparison_table(evaluation),
+        "sweeps": sweep_table(sweeps, scenario),
+        "gains": schedule_table(gain_schedules(results, scenario), scenario),
+        "runs": pd.concat([evaluation, sweeps], ignore_index=True),
+    }
+    written = []
+    for name, table in tables.items():
+        written.append(write_bytes(folder / f"{name}.csv", csv_text(table).encode()))
+        if name in TITLES:  # `runs` has a row for every log: numbers to compute with, not to read
+            shown = table[READ_COLUMNS[name]] if name in READ_COLUMNS else table
+            text = markdown_text(shown, *TITLES[name])
+            written.append(write_bytes(folder / f"{name}.md", text.encode()))
+    return written
+
+
+def parameter_table(scenario: Scenario, defaults: Path | None = None) -> pd.DataFrame:
+    """Return every parameter with symbol, value, unit, origin and meaning.
+
+    A value counts as the paper's only while it is the default's: a scenario that changes it
+    assumes another.
+    """
+    path = CONFIG / "defaults.yaml" if defaults is None else defaults
+    values = scenario_to_dict(scenario)
+    defaults_values = scenario_to_dict(load_scenario(path, defaults=path))
+    rows = []
+    for note in parameter_notes(path):
+        value, default = _at(values, note.key), _at(defaults_values, note.key)
+        rows.append(
+            {
+                "key": note.key,
+                "symbol": SYMBOLS.get(note.key, ""),
+                "value": _plain(value),
+                "unit": note.unit,
+                "origin": note.origin if value == default else "assumed",
+                "default": _plain(default),
+                "meaning": note.meaning,
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def csv_text(table: pd.DataFrame) -> str:
+    """Return a table as CSV: numbers read back to the same bits, an empty cell is no number."""
+    text: str = table.to_csv(index=False, lineterminator="\n")
+    return text
+
+
+def markdown_text(table: pd.DataFrame, title: str, note: str) -> str:
+    """Return a table as Markdown, a mean and its bounds in one cell."""
+    merged = [name for name in table.columns if {f"{name}_lo", f"{name}_hi"} <= set(table.columns)]
+    bounds = {f"{name}_{end}" for name in merged for end in ("lo", "hi")}
+    names = [name for name in table.columns if name not in bounds]
+    lines = [f"# {title}", "", note, ""]
+    lines.append("| " + " | ".join(str(name) for name in names) + " |")
+    lines.append("|" + "|".join(_alignment(table, name) for name in names) + "|")
+    for row in table.to_dict("records"):
+        cells = [
+            interval_text(row[name], row[f"{name}_lo"], row[f"{name}_hi"])
+            if name in merged
+            else cell_text(row[name])
+            for name in names
+        ]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def interval_text(mean: float, lo: float, hi: float) -> str:
+    """Return a mean and its interval with two digits of the half width."""
+    if not math.isfinite(mean):
+        return "–"
+    if not (math.isfinite(lo) and math.isfinite(hi)):
+        return cell_text(mean) if math.isnan(lo) else f"{cell_text(mean)} [unbounded]"
+    half = (hi - lo) / 2.0
+    if half < 1e-12 * max(1.0, abs(mean)):
+        return f"{cell_text(mean)} [±0]"
+    decimals = min(9, max(0, 1 - math.floor(math.log10(half))))
+    return f"{mean:.{decimals}f} [{lo:.{decimals}f}, {hi:.{decimals}f}]"
+
+
+def cell_text(value: Any) -> str:
+    """Return a cell: numbers with four significant digits, no number as a dash."""
+    if isinstance(value, bool) or not isinstance(value, float):
+        return str(value).replace("|", "\\|")
+    return f"{value:.4g}" if math.isfinite(value) else "–"
+
+
+def _alignment(table: pd.DataFrame, name: str) -> str:
+    return "---:" if pd.api.types.is_numeric_dtype(table[name]) else "---"
+
+
+def _at(values: Any, key: str) -> Any:
+    for part in key.split("."):
+        values = values[part]
+    return values
+
+
+def _plain(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)

@@ -1,0 +1,191 @@
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hiersched.control import Certificate, GainSchedule
+from hiersched.log import TOPICS, LogDims, LogWriter
+from hiersched.scenario import Scenario, load_scenario
+from hiersched.simulator.gains import plant_of
+from hiersched.study.fifo import backlog_path, deadline_in_slots, late_packets
+
+DIMS = LogDims(num_urllc=2, num_embb=1, num_prb=4)
+Fields = dict[str, Any]
+
+
+def _zero_fields(slots: int, dims: LogDims = DIMS) -> Fields:
+    """Every field of the log, zero."""
+    return {
+        field.name: np.zeros((slots, *field.concrete_shape(dims)), field.dtype)
+        for topic in TOPICS.values()
+        for field in topic.fields[1:]
+    }
+
+
+def _queue_fields(
+    scenario: Scenario, arrivals: np.ndarray, service: np.ndarray, dims: LogDims = DIMS
+) -> Fields:
+    """Fields of a run with these arrivals and this service, the rest zero."""
+    fields = _zero_fields(len(arrivals), dims)
+    traffic, slot_s = scenario.traffic, scenario.radio.slot_s
+    backlog = backlog_path(arrivals, service)
+    fields |= {"arrivals_packets": arrivals, "service_packets": service}
+    fields["backlog_packets"] = backlog[:-1]
+    for user in range(arrivals.shape[1]):
+        own = user < dims.num_urllc
+        deadline_s = traffic.deadline_s if own else traffic.embb_deadline_s
+        due, late = late_packets(
+            arrivals[:, user],
+            service[:, user],
+            backlog[:, user],
+            deadline_in_slots(deadline_s, slot_s),
+        )
+        fields["due_packets"][:, user], fields["late_packets"][:, user] = due, late
+    return fields
+
+
+def _write_log(path: Path, fields: Fields, dims: LogDims = DIMS, **settings: Any) -> Path:
+    metadata: Mapping[str, str] = settings.pop("metadata", {"policy": "pf", "seed": "1"})
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with LogWriter(path, dims, "compact", metadata, slot_ns=10_000_000, **settings) as log:
+        log.write_block(0, fields)
+    return path
+
+
+@pytest.fixture(scope="session")
+def zero_fields() -> Callable[..., Fields]:
+    return _zero_fields
+
+
+@pytest.fixture(scope="session")
+def queue_fields() -> Callable[..., Fields]:
+    return _queue_fields
+
+
+@pytest.fixture(scope="session")
+def write_log() -> Callable[..., Path]:
+    return _write_log
+
+
+@pytest.fixture(scope="session")
+def tiny(project_root: Path) -> Scenario:
+    """Two robots, one video user, few seeds and values: a study that is written in a second."""
+    base = load_scenario(
+        project_root / "config/scenarios/smoke.yaml",
+        defaults=project_root / "config/defaults.yaml",
+    )
+    return replace(
+        base,
+        name="tiny",
+        users=replace(base.users, num_urllc=2, num_embb=1),
+        radio=replace(base.radio, num_prb=4),
+        traffic=replace(base.traffic, urllc_offered_mbps=10.0),
+        robot=replace(base.robot, window_s=0.1),
+        learning=replace(base.learning, seeds=(1, 2), slots_per_episode=5, num_envs=2, episodes=4),
+        evaluate=replace(
+            base.evaluate, seeds=(11, 12, 13), policies=("ddpg", "pf", "drift_plus_penalty")
+        ),
+        sweeps=replace(
+            base.sweeps,
+            seeds=(21, 22, 23),
+            policies=("ddpg", "pf"),
+            rayleigh_scale=(0.5, 1.0),
+            sampling_s=(0.02, 0.05),
+            reference=("zigzag", "arc"),
+            load=(0.85, 1.0),
+        ),
+        gain_study=replace(base.gain_study, seeds=(31, 32, 33)),
+    )
+
+
+def _run(scenario: Scenario, policy: str, seed: int, slots: int = 40) -> Fields:
+    """Random traffic that one policy serves twice as well: known to differ, not simulated."""
+    rng = np.random.default_rng(seed)
+    arrivals = rng.poisson(8.0, (slots, 3)).astype(np.uint32)
+    rate = rng.uniform(7.0, 10.0, (slots, 3)) * (1.6 if policy == "ddpg" else 1.0)
+    fields = _queue_fields(scenario, arrivals, rate)
+    fields["rate_mbps"] = rate
+    fields["mean_fading_power"] = rng.uniform(1.0, 3.0, (slots, 3)).astype(np.float32)
+    fields["tracking_error_m"] = rng.uniform(0.01, 0.02, (slots, 2))
+    fields["dexterity_index"] = rng.uniform(0.7, 0.8, (slots, 2))
+    fields["penalty_urllc"] = rng.uniform(0.0, 1.0, slots)
+    return fields
+
+
+def _schedule(scenario: Scenario) -> GainSchedule:
+    """A schedule of nominal gains with made-up verdicts."""
+    plant, steps = plant_of(scenario), 3
+    certificates = tuple(
+        Certificate(
+            certified=delay < steps,
+            criterion="none",
+            delay_steps=delay,
+            margins={},
+            tolerance=1e-9,
+            spectral_radii=np.linspace(0.9, 0.95, delay + 1),
+            witness=None,
+        )
+        for delay in range(steps + 1)
+    )
+    return GainSchedule(
+        gains=np.repeat(plant.nominal_gain[None], steps + 1, axis=0),
+        status=(*["nominal"] * steps, "infeasible"),
+        certificates=certificates,
+        nominal=plant.nominal_gain,
+        kind=plant.kind,
+        method="krasovskii",
+        decay_rate=None,
+        sampling_s=plant.sampling_s,
+        key="made up",
+    )
+
+
+@pytest.fixture(scope="session")
+def results(tmp_path_factory: pytest.TempPathFactory, tiny: Scenario) -> Path:
+    """A results folder with every log of the tiny scenario."""
+    folder: Path = tmp_path_factory.mktemp("results")
+    for policy in tiny.evaluate.policies:
+        for seed in tiny.evaluate.seeds:
+            label = {"policy": policy, "seed": str(seed), "stage": "evaluate"}
+            path = folder / "eval" / policy / f"seed{seed}.mcap"
+            _write_log(path, _run(tiny, policy, seed), metadata=label)
+    for axis in ("rayleigh_scale", "sampling_s", "reference", "load"):
+        for policy in tiny.sweeps.policies:
+            for value in getattr(tiny.sweeps, axis):
+                for seed in tiny.sweeps.seeds:
+                    text = value if isinstance(value, str) else f"{value:g}"
+                    label = {"policy": policy, "seed": str(seed), "axis": axis, "value": text}
+                    path = folder / "sweep" / axis / policy / f"{text}_seed{seed}.mcap"
+                    _write_log(path, _run(tiny, policy, seed + _number_of(text)), metadata=label)
+    _write_gain_study(folder, tiny)
+    for seed in tiny.learning.seeds:
+        fields = _run(tiny, "ddpg", seed, slots=20)
+        fields["reward_urllc"] = np.repeat(np.arange(4.0), 5) + seed
+        label = {"policy": "ddpg", "seed": str(seed), "slots_per_episode": "5"}
+        _write_log(folder / "train" / "ddpg" / f"seed{seed}.mcap", fields, metadata=label)
+    return folder
+
+
+def _number_of(text: str) -> int:
+    return sum(map(ord, text))
+
+
+def _write_gain_study(folder: Path, scenario: Scenario) -> None:
+    """Nominal 1.8, 2.0, 2.2 cm; adjusted 0.49, 0.50, 0.51 of it in violated windows."""
+    schedule = _schedule(scenario).to_json().encode()
+    for gain in ("nominal", "adjusted"):
+        for seed in scenario.gain_study.seeds:
+            fields = _zero_fields(220)
+            error = np.full((22, 10, 2), 0.02) * (1.0 + 0.1 * (seed - 32))
+            if gain == "adjusted":
+                for window in scenario.gain_study.violation_windows:
+                    error[window - 1] *= 0.5 + 0.01 * (seed - 32)
+            fields["tracking_error_m"] = error.reshape(220, 2)
+            path = folder / "gain_study" / f"krasovskii_{gain}_seed{seed}.mcap"
+            label = {"policy": "none", "seed": str(seed)}
+            _write_log(path, fields, metadata=label, attachments={"schedule.json": schedule})

@@ -1,0 +1,230 @@
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from hiersched.scenario import Scenario
+from hiersched.study.collect import evaluation_frame, gain_frame, sweep_frame, training_frame
+from hiersched.study.figures import build_figures, draw_figures
+from hiersched.study.figures_training import training_curve
+from hiersched.study.style import (
+    draw_series,
+    house_style,
+    log_axis_with_zero,
+    policy_look,
+    zero_floor,
+)
+from hiersched.study.summary import gain_table, policy_table, sweep_table
+
+NAMES = (
+    "fig2_rewards fig3_queues fig4_rate_cdf fig5_rayleigh fig6_sampling fig7_dexterity "
+    "fig8_violations figX_load figX_gain"
+).split()
+
+
+@pytest.fixture(scope="module")
+def figures(results: Path, tiny: Scenario) -> dict[str, Figure]:
+    with house_style():
+        return {name: draw() for name, draw in build_figures(results, tiny).items()}
+
+
+@pytest.fixture(scope="module")
+def sweeps(results: Path, tiny: Scenario) -> pd.DataFrame:
+    return sweep_table(sweep_frame(results, tiny), tiny)
+
+
+def bars(axes: Axes) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Drawn means (x, y) and ends of the error bars (n, lo and hi) by label."""
+    drawn = {}
+    for container in axes.containers:
+        line, _, (stems, *_) = container.lines
+        if line is None:  # bars alone
+            continue
+        ends = np.array([segment[:, 1] for segment in stems.get_segments()])
+        drawn[container.get_label()] = (np.array(line.get_data()), ends)
+    return drawn
+
+
+def assert_drawn(axes: Axes, label: str, rows: pd.DataFrame, measure: str) -> None:
+    points, ends = bars(axes)[label]
+    assert points[1] == pytest.approx(rows[measure].to_numpy())
+    columns = [f"{measure}_lo", f"{measure}_hi"]
+    assert ends == pytest.approx(rows[columns].to_numpy())
+
+
+def test_every_figure_is_written_twice_and_the_same_each_time(
+    results: Path, tiny: Scenario
+) -> None:
+    written = draw_figures(results, tiny)
+    assert [path.name for path in written] == [f"{n}.{s}" for n in NAMES for s in ("svg", "png")]
+    first = {path: path.read_bytes() for path in written}
+    assert all(data[:8] == b"\x89PNG\r\n\x1a\n" for p, data in first.items() if p.suffix == ".png")
+    assert all(b"<dc:date>" not in data for data in first.values())
+    draw_figures(results, tiny)
+    changed = [path.name for path, data in first.items() if path.read_bytes() != data]
+    assert not changed
+    assert not list((results / "figures").glob("*.part"))
+
+
+def test_every_panel_has_title_units_and_data(figures: dict[str, Figure]) -> None:
+    for name, figure in figures.items():
+        for axes in figure.axes:
+            assert axes.has_data(), name
+            assert axes.get_title(loc="left"), name
+            assert axes.get_xlabel(), name
+    for name in set(NAMES) - {"fig4_rate_cdf", "fig8_violations"}:
+        assert all("[" in axes.get_ylabel() for axes in figures[name].axes), name
+
+
+@pytest.mark.parametrize(
+    ("figure", "panel", "axis", "measure"),
+    [
+        ("fig6_sampling", 0, "sampling_s", "embb_rate_mbps"),
+        ("fig6_sampling", 1, "sampling_s", "urllc_rate_mbps"),
+        ("figX_load", 1, "load", "tracking_error_cm"),
+    ],
+)
+def test_sweep_figures_show_the_table(
+    figures: dict[str, Figure],
+    sweeps: pd.DataFrame,
+    figure: str,
+    panel: int,
+    axis: str,
+    measure: str,
+) -> None:
+    axes = figures[figure].axes[panel]
+    for policy in ("ddpg", "pf"):
+        rows = sweeps[(sweeps["axis"] == axis) & (sweeps["policy"] == policy)]
+        assert_drawn(axes, policy_look(policy).label, rows, measure)
+    if axis == "sampling_s":
+        assert bars(axes)["PF"][0][0] == pytest.approx([20.0, 50.0])
+
+
+def test_rayleigh_figure_shows_the_table_and_the_papers_rates(
+    figures: dict[str, Figure], sweeps: pd.DataFrame
+) -> None:
+    rates, queues = figures["fig5_rayleigh"].axes
+    for policy, label in (("ddpg", "DRL (DDPG)"), ("pf", "PF")):
+        rows = sweeps[(sweeps["axis"] == "rayleigh_scale") & (sweeps["policy"] == policy)]
+        for part, name in (("urllc", "URLLC"), ("embb", "eMBB")):
+            assert_drawn(rates, f"{name}, {label}", rows, f"{part}_rate_mbps")
+            points = bars(queues)[f"{name}, {label}"][0]
+            assert points[1] == pytest.approx(rows[f"{part}_backlog_packets"].to_numpy())
+    stars = {line.get_label(): line.get_ydata()[0] for line in rates.get_lines()}
+    assert stars["paper, URLLC, DRL"] == pytest.approx((17.9188 + 19.6458 + 19.7586) / 3)
+    assert stars["paper, URLLC, PF"] == pytest.approx((19.4697 + 19.2875 + 19.9794) / 3)
+
+
+def test_dexterity_figure_has_the_measured_index_below(
+    figures: dict[str, Figure], sweeps: pd.DataFrame
+) -> None:
+    rows = sweeps[(sweeps["axis"] == "reference") & (sweeps["policy"] == "pf")]
+    rows = rows.sort_values("dexterity_index")
+    points = bars(figures["fig7_dexterity"].axes[1])["PF"][0]
+    assert points[0] == pytest.approx(rows["dexterity_index"].to_numpy())
+    assert points[1] == pytest.approx(rows["urllc_rate_mbps"].to_numpy())
+
+
+def test_violation_figure_shows_the_table_and_the_allowed_share(
+    figures: dict[str, Figure], results: Path, tiny: Scenario
+) -> None:
+    axes = figures["fig8_violations"].axes[0]
+    table = policy_table(evaluation_frame(results, tiny), tiny).set_index("policy")
+    rows = dict(zip([t.get_text() for t in axes.get_yticklabels()], axes.get_yticks(), strict=True))
+    drawn = {}
+    for container in axes.containers:
+        (x,), (y,) = container.lines[0].get_data()
+        drawn[y] = x
+    floor = axes.get_xticks()[0]
+    for policy in tiny.evaluate.policies:
+        share = table.loc[policy, "urllc_late_share"]
+        assert drawn[rows[policy_look(policy).label]] == pytest.approx(max(share, floor))
+    verticals = [line.get_xdata()[0] for line in axes.get_lines()]
+    assert any(x == pytest.approx(0.05) for x in verticals)
+
+
+def test_gain_figure_shows_the_table_and_the_papers_ratios(
+    figures: dict[str, Figure], results: Path, tiny: Scenario
+) -> None:
+    table = gain_table(gain_frame(results, tiny))
+    errors, ratios = figures["figX_gain"].axes
+    assert_drawn(errors, "nominal gain", table, "nominal_cm")
+    assert_drawn(ratios, "Krasovskii, network plant", table[table["violated"]], "ratio")
+    (paper,) = [line for line in ratios.get_lines() if line.get_label() == "paper (Table II)"]
+    assert paper.get_ydata() == pytest.approx([0.78967, 0.71207, 0.64864], abs=1e-5)
+
+
+def test_training_figure_shows_means_of_rounds(
+    figures: dict[str, Figure], results: Path, tiny: Scenario
+) -> None:
+    """Reward of episode k (from 0) is k + seed, seeds 1 and 2, two episodes a round."""
+    frame = training_frame(results, tiny)
+    curve = training_curve(frame, "urllc_reward", 2)
+    assert curve["episode"].tolist() == [2, 4]
+    assert curve["mean"].tolist() == pytest.approx([2.0, 4.0])
+    line = figures["fig2_rewards"].axes[1].get_lines()[0]
+    assert line.get_xdata().tolist() == [2, 4]
+    assert line.get_ydata().tolist() == pytest.approx([2.0, 4.0])
+    backlog = figures["fig3_queues"].axes[0].get_lines()[0].get_ydata()
+    expected = frame.groupby((frame["episode"] - 1) // 2)["embb_backlog_packets"].mean()
+    assert backlog == pytest.approx(expected.to_numpy())
+
+
+def test_distribution_of_rates(figures: dict[str, Figure], results: Path, tiny: Scenario) -> None:
+    from hiersched.log import LogReader
+
+    line = next(
+        line
+        for line in figures["fig4_rate_cdf"].axes[0].get_lines()
+        if line.get_label() == "URLLC, PF"
+    )
+    rates = []
+    for seed in tiny.evaluate.seeds:
+        with LogReader(results / "eval/pf" / f"seed{seed}.mcap") as log:
+            rates.append(log.read("/allocation")["rate_mbps"][:, :2])
+    for x, y in list(zip(*line.get_data(), strict=True))[::40]:
+        assert y == pytest.approx(np.mean([(rate <= x).mean() for rate in rates]))
+
+
+def test_zero_on_a_logarithmic_axis_is_marked_as_such() -> None:
+    figure = Figure()
+    axes = figure.subplots()
+    mean = np.array([0.0, 2e-4, 0.1])
+    floor = zero_floor(mean)
+    assert floor < 2e-5
+    draw_series(axes, [1, 2, 3], mean, mean - 0.01, mean + 0.01, policy_look("pf"), floor=floor)
+    log_axis_with_zero(axes, floor, [0.1, np.nan])
+    points, ends = bars(axes)["PF"]
+    assert points[1] == pytest.approx([floor, 2e-4, 0.1])
+    assert ends[:, 0] == pytest.approx([floor, floor, 0.09])
+    figure.canvas.draw()
+    assert axes.get_yticks()[0] == floor
+    assert axes.get_yticklabels()[0].get_text() == "0"
+    assert axes.get_ylim()[0] < floor
+    (open_mark,) = [line for line in axes.get_lines() if line.get_markerfacecolor() == "white"]
+    assert open_mark.get_data()[0].tolist() == [1.0]
+
+
+def test_policies_tell_apart_in_grey() -> None:
+    names = ("ddpg pf max_weight drift_plus_penalty pf_average round_robin max_rate m_lwdf").split()
+    looks = [policy_look(name) for name in (*names, "exp_pf", "log_rule", "edf")]
+    assert len({look.marker for look in looks}) == len(looks)
+    assert len({str(look.dashes) for look in looks}) == len(looks)
+
+
+def test_importing_study_is_light() -> None:
+    code = (
+        "import sys, hiersched.study, hiersched.study.metrics, hiersched.study.statistics\n"
+        "print([m for m in ('pandas', 'matplotlib', 'torch', 'cvxpy') if m in sys.modules])"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert result.stdout.strip() == "[]"

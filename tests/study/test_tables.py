@@ -1,0 +1,189 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+from hiersched.log import LogReader
+from hiersched.scenario import Scenario
+from hiersched.study.metrics import run_metrics
+from hiersched.study.tables import interval_text, markdown_text, parameter_table, write_tables
+
+PROMISED = (
+    "urllc_late_share, embb_late_share, urllc_rate_mbps, embb_rate_mbps, urllc_backlog_packets, "
+    "embb_backlog_packets, urllc_delay_p99_s, tracking_error_cm, dexterity_index"
+).split(", ")
+
+
+@pytest.fixture(scope="module")
+def tables(results: Path, tiny: Scenario, project_root: Path) -> dict[str, pd.DataFrame]:
+    written = write_tables(results, tiny, defaults=project_root / "config/defaults.yaml")
+    return {path.stem: pd.read_csv(path) for path in written if path.suffix == ".csv"}
+
+
+def test_policies_have_the_means_and_t_intervals_of_their_logs(
+    tables: dict[str, pd.DataFrame], results: Path, tiny: Scenario
+) -> None:
+    table = tables["policies"].set_index("policy")
+    assert list(table.index) == ["ddpg", "pf", "drift_plus_penalty"]
+    assert (table["seeds"] == 3).all()
+    for policy in table.index:
+        logs = [results / "eval" / policy / f"seed{s}.mcap" for s in tiny.evaluate.seeds]
+        runs = [run_metrics(log, tiny) for log in logs]
+        for name in PROMISED:
+            values = np.array([getattr(run, name) for run in runs])
+            low, high = stats.ttest_1samp(values, 0.0).confidence_interval(0.95)
+            row = table.loc[policy, [name, f"{name}_lo", f"{name}_hi"]].to_numpy(float)
+            assert row == pytest.approx([values.mean(), low, high], rel=1e-12, nan_ok=True)
+
+
+def test_csv_numbers_read_back_to_the_same_bits(
+    tables: dict[str, pd.DataFrame], results: Path, tiny: Scenario
+) -> None:
+    logs = [results / "eval" / "pf" / f"seed{seed}.mcap" for seed in tiny.evaluate.seeds]
+    rates = [run_metrics(log, tiny).urllc_rate_mbps for log in logs]
+    row = tables["policies"].set_index("policy").loc["pf"]
+    assert row["urllc_rate_mbps"] == np.mean(rates)
+
+
+def test_gain_table_has_the_planted_ratios(tables: dict[str, pd.DataFrame]) -> None:
+    table = tables["table2_gain"]
+    assert list(table.columns[:6]) == [
+        *["slot", "nominal_cm", "adjusted_cm", "ratio", "ratio_lo", "ratio_hi"]
+    ]
+    assert table["slot"].tolist() == [5, 10, 20]
+    nominal = np.array([1.8, 2.0, 2.2])
+    adjusted = nominal * [0.49, 0.50, 0.51]
+    assert table["nominal_cm"].to_numpy() == pytest.approx(np.full(3, 2.0))
+    assert table["adjusted_cm"].to_numpy() == pytest.approx(np.full(3, adjusted.mean()))
+    assert table["ratio"].to_numpy() == pytest.approx(np.full(3, adjusted.mean() / 2.0))
+    for bound in table["ratio_lo"].tolist() + table["ratio_hi"].tolist():
+        assert stats.ttest_1samp(adjusted - bound * nominal, 0.0).pvalue == pytest.approx(0.05)
+    assert table["paper_ratio"].to_numpy() == pytest.approx([0.78967, 0.71207, 0.64864], abs=1e-5)
+    assert set(table["method"] + table["plant"]) == {"krasovskiinetwork"}
+    calm = tables["table2_methods"].query("not violated")
+    assert len(calm) == 19
+    assert calm["ratio"].to_numpy() == pytest.approx(np.ones(19))
+
+
+def test_rate_table_reads_the_fifth_tenth_and_fifteenth_slot(
+    tables: dict[str, pd.DataFrame], results: Path, tiny: Scenario
+) -> None:
+    table = tables["table3_rate"].set_index("slot")
+    assert list(table.index) == ["5", "10", "15", "mean"]
+    for policy, column in (("ddpg", "drl_mbps"), ("pf", "pf_mbps")):
+        rates = []
+        for seed in tiny.evaluate.seeds:
+            with LogReader(results / "eval" / policy / f"seed{seed}.mcap") as log:
+                rates.append(log.read("/allocation")["rate_mbps"][:, :2].mean(axis=1))
+        for slot in (5, 10, 15):
+            mean = np.mean([rate[slot - 1] for rate in rates])
+            assert table.loc[str(slot), column] == pytest.approx(mean)
+        assert table.loc["mean", column] == pytest.approx(np.mean(rates))
+    assert table.loc["10", "paper_drl_mbps"] == 19.6458
+
+
+def test_comparison_is_paired_with_pf(
+    tables: dict[str, pd.DataFrame], results: Path, tiny: Scenario
+) -> None:
+    table = tables["comparison"].set_index(["policy", "measure"])
+    assert set(table.index.get_level_values(0)) == {"ddpg", "drift_plus_penalty"}
+    own, baseline = (
+        np.array(
+            [
+                run_metrics(results / "eval" / p / f"seed{s}.mcap", tiny).urllc_late_share
+                for s in tiny.evaluate.seeds
+            ]
+        )
+        for p in ("ddpg", "pf")
+    )
+    row = table.loc[("ddpg", "urllc_late_share")]
+    assert row["ratio"] == pytest.approx(own.mean() / baseline.mean())
+    low, high = stats.ttest_rel(own, baseline).confidence_interval(0.95)
+    assert [row["difference_lo"], row["difference_hi"]] == pytest.approx([low, high])
+    assert row["seeds_below_baseline"] == (own < baseline).sum()
+
+
+def test_sweeps_have_every_axis_value_and_policy(
+    tables: dict[str, pd.DataFrame], results: Path, tiny: Scenario
+) -> None:
+    table = tables["sweeps"]
+    assert len(table) == 4 * 2 * 2
+    assert table["value"].tolist()[0] == "0.5"
+    row = table.query("axis == 'reference' and value == 'arc' and policy == 'pf'").iloc[0]
+    logs = [results / "sweep/reference/pf" / f"arc_seed{s}.mcap" for s in tiny.sweeps.seeds]
+    rates = [run_metrics(log, tiny).embb_rate_mbps for log in logs]
+    assert row["embb_rate_mbps"] == np.mean(rates)
+
+
+def test_gains_say_what_is_certified(tables: dict[str, pd.DataFrame]) -> None:
+    table = tables["gains"]
+    assert table["delay_steps"].tolist() == [0, 1, 2, 3]
+    assert table["status"].tolist() == ["nominal", "nominal", "nominal", "infeasible"]
+    assert table["certified"].tolist() == [True, True, True, False]
+    assert (table["deviation"] == 0.0).all()
+    assert table["spectral_radius"].to_numpy() == pytest.approx([0.9, 0.95, 0.95, 0.95])
+    # The nominal loop itself: stable without delay, and the less so the longer the delay.
+    nominal = table["nominal_spectral_radius"].to_numpy()
+    assert nominal[0] < 1.0
+    assert (np.diff(nominal) >= 0.0).all()
+
+
+def test_parameters_have_unit_and_origin(tiny: Scenario, project_root: Path) -> None:
+    defaults = project_root / "config/defaults.yaml"
+    table = parameter_table(tiny, defaults).set_index("key")
+    assert table.loc["radio.noise_dbm", ["symbol", "value", "unit", "origin"]].tolist() == [
+        *["σ²", "-110.0", "dBm", "paper"]
+    ]
+    # The paper has 25 PRBs; this scenario has another number, which is not the paper's.
+    assert table.loc["radio.num_prb", ["value", "origin", "default"]].tolist() == [
+        *["4", "assumed", "25"]
+    ]
+    assert (table["unit"] != "").all()
+
+
+def test_a_missing_log_is_named(results: Path, tiny: Scenario) -> None:
+    more = replace(tiny, evaluate=replace(tiny.evaluate, seeds=(11, 99)))
+    with pytest.raises(FileNotFoundError, match=r"seed99\.mcap"):
+        write_tables(results, more)
+
+
+def test_a_missing_value_of_a_sweep_is_named(results: Path, tiny: Scenario) -> None:
+    more = replace(tiny, sweeps=replace(tiny.sweeps, load=(0.85, 0.9)))
+    with pytest.raises(FileNotFoundError, match=r"load = 0\.9, seed 21"):
+        write_tables(results, more)
+
+
+def test_no_half_written_file_stays(tables: dict[str, pd.DataFrame], results: Path) -> None:
+    assert tables
+    assert not list((results / "tables").glob("*.part"))
+
+
+@pytest.mark.parametrize(
+    ("interval", "text"),
+    [
+        ((0.23124, 0.21, 0.25), "0.231 [0.210, 0.250]"),
+        ((19.3456, 18.0, 20.7), "19.3 [18.0, 20.7]"),
+        ((1234.5, 1000.0, 1469.0), "1234 [1000, 1469]"),
+        ((2.0, 2.0, 2.0), "2 [±0]"),
+        ((0.5, math.nan, math.nan), "0.5"),
+        ((0.5, -math.inf, math.inf), "0.5 [unbounded]"),
+        ((math.nan, math.nan, math.nan), "–"),
+    ],
+)
+def test_digits_of_an_interval(interval: tuple[float, float, float], text: str) -> None:
+    assert interval_text(*interval) == text
+
+
+def test_markdown_merges_bounds_into_one_cell() -> None:
+    frame = pd.DataFrame({"policy": ["a|b"], "x": [1.0], "x_lo": [0.5], "x_hi": [1.5]})
+    lines = markdown_text(frame, "T", "N").splitlines()
+    assert lines == [
+        *["# T", "", "N", "", "| policy | x |", "|---|---:|"],
+        "| a\\|b | 1.00 [0.50, 1.50] |",
+    ]
