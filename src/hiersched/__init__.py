@@ -1,4 +1,4 @@
-"""A reproducible laboratory for 5G teleoperation: slicing, delay-robust control, learning and logs."""
+"""A reproducible laboratory for 5G teleoperation: slicing, robust control, learning, logs."""
 
 from importlib.metadata import version
 

@@ -17,8 +17,9 @@ _SOURCES = ("numerics.py", "randomness.py", "compiled.py", "radio", "network", "
 def _cache_folder() -> Path:
     """Folder of the machine code, one for each state of the kernels' sources.
 
-    Numba looks at the file of a function alone: a change in a function that it calls from another file would go
-    unnoticed. The hash of all the kernels' sources in the folder's name takes care of that.
+    Numba looks at the file of a function alone: a change in a function that it calls from another
+    file would go unnoticed. The hash of all the kernels' sources in the folder's name takes care of
+    that.
     """
     digest = hashlib.sha256()
     for name in _SOURCES:
@@ -32,8 +33,11 @@ def _cache_folder() -> Path:
 
 
 if not os.environ.get("NUMBA_CACHE_DIR"):
-    numba.config.CACHE_DIR = str(_cache_folder())
+    numba.config.CACHE_DIR = str(_cache_folder())  # type: ignore[attr-defined]
 
 kernel = partial(njit, error_model="numpy", _nrt=False, cache=True)
-"""Decorator of the kernels: no reference counting (they allocate nothing, and counting every view of an array took a
-third of the slot loop's time), division by zero as in IEEE 754, compiled once a machine."""
+"""Decorator of the kernels, compiled once a machine.
+
+No reference counting: the kernels allocate nothing, and counting every view of an array took a third
+of the slot loop's time. Division by zero is that of IEEE 754.
+"""

@@ -1,7 +1,7 @@
-"""Elementary functions for the kernels: IEEE operations only, so that every machine gives the same bits.
+"""Elementary functions of IEEE operations only: every machine gives the same bits.
 
-The compiler turns loops over them into vector instructions; the C library's functions would neither vectorise nor
-promise their last bit. Each docstring states the error; the tests measure it.
+The compiler turns loops over them into vector instructions; the C library's functions would neither
+vectorise nor promise their last bit. Each docstring states the error; the tests measure it.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def cos_half(x: float) -> float:
 
 @njit(inline="always")
 def sincos_turn_f32(turn: np.float32) -> tuple[np.float32, np.float32]:
-    """-sin(2 pi x) and -cos(2 pi x) of a float32 in (0, 1); error below 2e-6 (Taylor series of the half angle)."""
+    """-sin(2 pi x) and -cos(2 pi x) of a float32 in (0, 1); error below 2e-6 (Taylor)."""
     h = F32(np.pi) * turn - F32(0.5 * np.pi)
     z = h * h
     p = F32(-2.505210838544172e-08)

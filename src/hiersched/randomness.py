@@ -1,8 +1,8 @@
-"""Counter-based random streams: what a policy cannot influence is a function of (world, stream, slot, user).
+"""Counter-based streams: what no policy can influence depends on (world, stream, slot, user).
 
-Two policies that run in the same world meet the same fading, arrival uniforms, slip and noise, whatever they decide,
-and any slot can be drawn again on its own. The generator is Philox 4x32-10 (Salmon et al., SC 2011), whose published
-test vectors the tests hold.
+Two policies that run in the same world meet the same fading, arrival uniforms, slip and noise,
+whatever they decide, and any slot can be drawn again on its own. The generator is Philox 4x32-10
+(Salmon et al., SC 2011), whose published test vectors the tests hold.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def unit_f64(high: np.uint32, low: np.uint32) -> float:
 def draw_uniforms(
     key: np.uint64, stream: np.uint32, slot: int, lane: int, out: NDArray[np.float64]
 ) -> None:
-    """Fill `out` (n,) with uniforms of (world, stream, slot, i, lane): element i belongs to user i."""
+    """Fill `out` (n,) with uniforms of (world, stream, slot, lane): element i is user i's."""
     k0 = uint32(key)
     k1 = uint32(key >> _S32)
     for i in range(out.shape[0]):
@@ -104,16 +104,15 @@ def draw_exponentials(
 ) -> None:
     """Fill `out` (N,) with scale-times-unit exponentials of the fading stream.
 
-    One Philox block serves four elements: word `lane` of block `i` belongs to element lane*B + i, with B = ceil(N/4)
-    blocks. `words` (4, B) is scratch: one array, so that the compiler sees that the lanes do not overlap.
+    One Philox block serves four elements: word `lane` of block `i` belongs to element lane*B + i,
+    with B = ceil(N/4) blocks. `words` (4, B) is scratch: one array, so that the compiler sees that
+    the lanes do not overlap.
     """
     k0 = uint32(key)
     k1 = uint32(key >> _S32)
     blocks = words.shape[1]
     for i in range(blocks):
-        a, b, c, d = philox4x32(
-            uint32(i), uint32(0), uint32(slot), STREAM_FADING, k0, k1
-        )
+        a, b, c, d = philox4x32(uint32(i), uint32(0), uint32(slot), STREAM_FADING, k0, k1)
         words[0, i] = a
         words[1, i] = b
         words[2, i] = c
@@ -133,9 +132,10 @@ def draw_normals(
 ) -> None:
     """Fill `out` (R, 5) with standard normals of the robot stream (Box-Muller in float32).
 
-    Normal j of robot r is element j*R + r of 6 R normals; elements i and 3 R + i come from words i and 3 R + i, word
-    `lane` of block b being number lane*B + b of B = ceil(6 R / 4) blocks. `words` (4, B) and `normals` (3, 3 R) are
-    scratch; the loops over them are short so that each becomes vector instructions.
+    Normal j of robot r is element j*R + r of 6 R normals; elements i and 3 R + i come from words i
+    and 3 R + i, word `lane` of block b being number lane*B + b of B = ceil(6 R / 4) blocks. `words`
+    (4, B) and `normals` (3, 3 R) are scratch; the loops over them are short so that each becomes
+    vector instructions.
     """
     k0 = uint32(key)
     k1 = uint32(key >> _S32)

@@ -1,7 +1,7 @@
-"""Who gets which PRB: every PRB one owner, every user one PRB or more (constraints 3b-3d of the paper).
+"""Who gets which PRB: every PRB one owner, every user one PRB or more (paper, 3b-3d).
 
-The first PRB of every user is an assignment problem and solved exactly (shortest augmenting paths); the K - U others
-are given out one by one where the utility rises most.
+The first PRB of every user is an assignment problem and solved exactly (shortest augmenting paths);
+the K - U others are given out one by one where the utility rises most.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _NO_NAN = {"nnan", "nsz"}
 
 
 class AllocationScratch(NamedTuple):
-    """Work arrays of one allocation; `cost` and `cost_bits`, `distance` and `distance_bits` share memory."""
+    """Work arrays of one allocation; a `_bits` array shares the memory of its namesake."""
 
     cost: NDArray[np.float64]
     cost_bits: NDArray[np.int64]
@@ -90,21 +90,24 @@ def allocation_scratch(num_users: int, num_prb: int) -> AllocationScratch:
 def _least(bits: NDArray[np.int64], count: int) -> int:
     """Index of the least of `count` non-negative doubles, given as their bits.
 
-    Non-negative doubles order like their bits; the index rides in the last ten, so that minimum and place come from
-    one vectorised reduction. Values closer than 2^-42 relative count as equal.
+    Non-negative doubles order like their bits; the index rides in the last ten, so that minimum and
+    place come from one vectorised reduction. Values closer than 2^-42 relative count as equal.
     """
     key = np.int64(0x7FFFFFFFFFFFFFFF)
     for k in range(count):
         key = min(key, (bits[k] & _VALUE_BITS) | k)
-    return key & _INDEX_BITS
+    return int(key & _INDEX_BITS)
 
 
 @kernel()
 def assign_one_each(scratch: AllocationScratch) -> None:
-    """Give every user exactly one PRB at least total cost; results in `prb_of_user` and `user_of_prb` (-1: free).
+    """Give every user exactly one PRB at least total cost.
 
-    Shortest augmenting paths with dual prices (Jonker and Volgenant, Computing 1987; Crouse, IEEE TAES 2016), for
-    non-negative costs `scratch.cost`, shape (U, K), whose least entry in every row is 0.
+    The result stands in `prb_of_user` and in `user_of_prb`, where -1 is a free PRB.
+
+    Shortest augmenting paths with dual prices (Jonker and Volgenant, Computing 1987; Crouse, IEEE
+    TAES 2016), for non-negative costs `scratch.cost`, shape (U, K), whose least entry in every row
+    is 0.
     """
     cost = scratch.cost
     price = scratch.column_price
@@ -184,7 +187,7 @@ def _first_costs(
     log_rate: NDArray[np.float32],
     cost: NDArray[np.float64],
 ) -> None:
-    """Cost of each (user, PRB) as a user's only PRB: the utility lost against the user's best one."""
+    """Cost of each PRB as a user's only one: the utility lost against the user's best."""
     num_users, num_prb = rate.shape
     if utility == UTILITY_LOG:
         # One flat loop: rows are too short for full vectors.
@@ -218,7 +221,7 @@ def _marginal(
     weight: float,
     terms: UserTerms,
 ) -> float:
-    """What a user's utility gains from one more PRB of the given rate."""
+    """Gain in a user's utility by one more PRB of the given rate."""
     if utility == UTILITY_LOG:
         return weight * np.float64(ln_f32(F32(1.0) + rate / F32(have)))
     if utility == UTILITY_LINEAR:
@@ -233,7 +236,7 @@ def _greatest(gain: NDArray[np.float64], count: int) -> int:
     best = gain[0]
     for i in range(count):
         best = max(best, gain[i])
-    place = np.int64(count)
+    place = count
     for i in range(count):
         place = min(place, i if gain[i] == best else count)
     return place
@@ -253,8 +256,8 @@ def allocate_by_utility(
     Parameters
     ----------
     utility
-        UTILITY_LOG (w log R: PF when all w are equal), UTILITY_LINEAR (w R) or UTILITY_LAGRANGIAN (minus the slot's
-        drift-plus-penalty Lagrangian of `terms`).
+        UTILITY_LOG (w log R: PF when all w are equal), UTILITY_LINEAR (w R) or UTILITY_LAGRANGIAN
+        (minus the slot's drift-plus-penalty Lagrangian of `terms`).
     rate
         Rate of each user on each PRB, shape (U, K), Mbit/s.
     weight
@@ -333,8 +336,8 @@ def allocate_by_urgency(
     urgency
         Shape (U,); equal urgencies are served in the order of the users.
     need_mbps
-        Rate that would empty the user's queue in this slot, shape (U,). PRBs that nobody needs are given out one by
-        one in the same order.
+        Rate that would empty the user's queue in this slot, shape (U,). PRBs that nobody needs are
+        given out one by one in the same order.
     scratch
         From `allocation_scratch`.
     owner
@@ -383,9 +386,7 @@ def _take_best(
 
 
 @kernel()
-def allocate_in_turn(
-    slot: int, num_users: int, num_prb: int, owner: NDArray[np.uint32]
-) -> None:
+def allocate_in_turn(slot: int, num_users: int, num_prb: int, owner: NDArray[np.uint32]) -> None:
     """Round robin: PRBs go around the users, and the next slot goes on where this one stopped."""
     for k in range(num_prb):
         owner[k] = (slot * num_prb + k) % num_users

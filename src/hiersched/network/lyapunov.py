@@ -1,8 +1,8 @@
 """The drift-plus-penalty Lagrangian of a slot and its parts.
 
-L = Delta L + V h - lambda y with Delta L = (F(t+1)^2 - F(t)^2) / 2 summed over users, h = 1 / (r^2 + epsilon) summed over
-users and y = (1 - chi) - exp(-alpha_1 r D_max), which is at least 0 where the rate is high enough (the paper prints the
-opposite sign: docs/paper_notes.md).
+L = Delta L + V h - lambda y with Delta L = (F(t+1)^2 - F(t)^2) / 2 summed over users, h = 1 / (r^2
++ epsilon) summed over users and y = (1 - chi) - exp(-alpha_1 r D_max), which is at least 0 where
+the rate is high enough (the paper prints the opposite sign: docs/paper_notes.md).
 """
 
 from __future__ import annotations
@@ -52,10 +52,8 @@ def rate_penalty(rate_mbps: float, epsilon: float) -> float:
 
 
 @njit(inline="always")
-def delay_surrogate(
-    rate_mbps: float, exponent_per_mbps: float, violation_share: float
-) -> float:
-    """y = (1 - chi) - exp(-alpha_1 r D_max); negative where the constraint is violated."""
+def delay_surrogate(rate_mbps: float, exponent_per_mbps: float, violation_share: float) -> float:
+    """Y = (1 - chi) - exp(-alpha_1 r D_max); negative where the constraint is violated."""
     return violation_share - math.exp(-exponent_per_mbps * rate_mbps)
 
 
@@ -81,4 +79,4 @@ def user_lagrangian(terms: UserTerms, user: int, rate_mbps: float) -> float:
         value -= multiplier * delay_surrogate(
             rate_mbps, terms.delay_exponent_per_mbps, terms.violation_share
         )
-    return value
+    return float(value)

@@ -1,7 +1,7 @@
 """One user's queue over one slot, with the exact first-in-first-out time of every packet.
 
-Packets of slot t arrive at its start and are served as a fluid over the slot, the oldest first. The packet in service
-counts as waiting until its last bit is out.
+Packets of slot t arrive at its start and are served as a fluid over the slot, the oldest first. The
+packet in service counts as waiting until its last bit is out.
 """
 
 from __future__ import annotations
@@ -9,8 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from hiersched.compiled import kernel
 from numpy.typing import NDArray
+
+from hiersched.compiled import kernel
 
 
 @kernel()
@@ -47,12 +48,13 @@ def serve_slot(
     backlog, head
         F(t+1) = max(0, F + A - mu) and the slot of the oldest waiting packet (t + 1 if none waits).
     sojourn_slots
-        Time from arrival to completion of the last packet completed in this slot; without one, the age of the oldest
-        packet at the end of the slot; 0 for an empty queue.
+        Time from arrival to completion of the last packet completed in this slot; without one, the
+        age of the oldest packet at the end of the slot; 0 for an empty queue.
     hol_delay_slots
         Age of the oldest waiting packet at the start of the next slot, 0 if none waits.
     due, late
-        Packets whose deadline fell into this slot, and how many of them had not been completed by then.
+        Packets whose deadline fell into this slot, and how many of them had not been completed by
+        then.
     """
     total = arrived[slot] + arrivals
     arrived[slot + 1] = total
@@ -64,7 +66,7 @@ def serve_slot(
         while arrived[head + 1] < done:
             head += 1
         waiting = np.float64(total - done)
-        sojourn = (slot - head) + (load - waiting) / service
+        sojourn = float((slot - head) + (load - waiting) / service)
     else:
         sojourn = 0.0
         if total > done:

@@ -1,9 +1,9 @@
 """The classical schedulers as weights, utilities or orders of the one allocator.
 
-Every rule reads what a base station knows at the start of a slot: backlog, head-of-line delay W, moving average rate
-and the channel, never the slot's arrivals. Sources: Kelly 1998 (pf), Jalali et al. 2000 (pf_average), Tassiulas and
-Ephremides 1992 (max_weight), Andrews et al. 2001 (m_lwdf), Rhee et al. 2003 (exp_pf), Sadiq et al. 2009 (log_rule),
-Neely 2010 (drift_plus_penalty).
+Every rule reads what a base station knows at the start of a slot: backlog, head-of-line delay W,
+moving average rate and the channel, never the slot's arrivals. Sources: Kelly 1998 (pf), Jalali et
+al. 2000 (pf_average), Tassiulas and Ephremides 1992 (max_weight), Andrews et al. 2001 (m_lwdf),
+Rhee et al. 2003 (exp_pf), Sadiq et al. 2009 (log_rule), Neely 2010 (drift_plus_penalty).
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hiersched.compiled import kernel
@@ -50,7 +49,7 @@ CLASSICAL = {
     "edf": EDF,
     "drift_plus_penalty": DRIFT_PLUS_PENALTY,
 }
-"""Code of every classical scheduler by its name in YAML; `pf` is the weighted PF with all weights 1."""
+"""Code of every classical scheduler by its name; `pf` is the weighted PF with weights 1."""
 
 
 _UTILITY_OF = np.full(len(CLASSICAL), UTILITY_LINEAR)
@@ -59,7 +58,7 @@ _UTILITY_OF[DRIFT_PLUS_PENALTY] = UTILITY_LAGRANGIAN
 
 
 class SchedulerConstants(NamedTuple):
-    """Constants of the rules: each user's deadline (U,) in s and admitted late share (U,), and the log rule's c and a D."""
+    """Deadline in s and admitted late share of each user (U,), and the log rule's c and a D."""
 
     deadline_s: NDArray[np.float64]
     late_share: NDArray[np.float64]
@@ -96,9 +95,7 @@ def index_weights(
             weight[user] = -math.log10(constants.late_share[user]) / deadline * wait / average
         else:
             weight[user] = (
-                math.log(
-                    constants.log_rule_offset + constants.log_rule_gain * wait / deadline
-                )
+                math.log(constants.log_rule_offset + constants.log_rule_gain * wait / deadline)
                 / average
             )
 
@@ -110,7 +107,7 @@ def _exp_pf_weights(
     constants: SchedulerConstants,
     weight: NDArray[np.float64],
 ) -> None:
-    """EXP/PF: exp((a W - mean aW) / (1 + sqrt(mean aW))) / average rate for URLLC, 1 / average rate for eMBB."""
+    """EXP/PF: exp((a W - m) / (1 + sqrt m)) / R for URLLC, m the mean a W; 1 / R for eMBB."""
     num_urllc = constants.num_urllc
     mean = 0.0
     for user in range(num_urllc):
@@ -121,7 +118,8 @@ def _exp_pf_weights(
     for user in range(num_urllc):
         weight[user] = (weight[user] - mean) / (1.0 + math.sqrt(mean))
         largest = max(largest, weight[user])
-    # The rule does not change when all weights are scaled: the largest exponent is taken out, so none overflows.
+    # The rule does not change when all weights are scaled: the largest exponent is taken out, so
+    # none overflows.
     for user in range(weight.shape[0]):
         exponent = weight[user] if user < num_urllc else 0.0
         weight[user] = math.exp(exponent - largest) / average_rate_mbps[user]
@@ -183,5 +181,6 @@ def schedule_slot(
             index_weights(
                 scheduler, terms.backlog_packets, hol_delay_s, average_rate_mbps, constants, weight
             )
-        # Looked up, not branched on: the compiler would otherwise build the allocator once for each constant.
+        # Looked up, not branched on: the compiler would otherwise build the allocator once for each
+        # constant.
         allocate_by_utility(_UTILITY_OF[scheduler], rate, weight, terms, scratch, owner)

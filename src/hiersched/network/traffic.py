@@ -1,10 +1,11 @@
-"""Arrivals: the Poisson quantile of a uniform, so that the uniform and not the count belongs to the world."""
+"""Arrivals: the Poisson quantile of a uniform; the uniform, not the count, is the world's."""
 
 from __future__ import annotations
 
 import math
 
 import numpy as np
+
 from hiersched.compiled import kernel
 
 MAX_MEAN = 600.0
@@ -17,7 +18,10 @@ _RECIPROCAL = np.concatenate([[0.0], 1.0 / np.arange(1, 4096)])
 
 @kernel()
 def poisson_quantile(uniform: float, mean: float) -> int:
-    """Least k whose Poisson distribution function at `mean` reaches `uniform` (0 < uniform < 1, mean <= MAX_MEAN)."""
+    """Return the least k whose Poisson distribution function reaches `uniform`, in (0, 1).
+
+    `mean` is at most MAX_MEAN.
+    """
     term = math.exp(-mean)
     cumulative = term
     k = 0

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hiersched.compiled import kernel
@@ -27,15 +26,13 @@ def large_scale_gain(
 ) -> NDArray[np.float64]:
     """Large-scale gains of users placed uniformly over a disc, shape (num_users,), linear.
 
-    Path loss 128.1 + 37.6 log10(d / 1 km) dB (3GPP TR 36.942, macro cell at 2 GHz) plus log-normal shadowing. The
-    place belongs to the world `key`, so every policy meets the same users.
+    Path loss 128.1 + 37.6 log10(d / 1 km) dB (3GPP TR 36.942, macro cell at 2 GHz) plus log-normal
+    shadowing. The place belongs to the world `key`, so every policy meets the same users.
     """
     uniforms = np.empty((3, num_users))
     for lane in range(3):
         draw_uniforms(np.uint64(key), STREAM_POSITION, 0, lane, uniforms[lane])
-    distance_m = np.sqrt(
-        min_distance_m**2 + uniforms[0] * (cell_radius_m**2 - min_distance_m**2)
-    )
+    distance_m = np.sqrt(min_distance_m**2 + uniforms[0] * (cell_radius_m**2 - min_distance_m**2))
     normal = np.sqrt(-2.0 * np.log(uniforms[1])) * np.cos(2.0 * np.pi * uniforms[2])
     loss_db = 128.1 + 37.6 * np.log10(distance_m / 1000.0) + shadowing_db * normal
     return np.array([db_to_linear(-loss) for loss in loss_db])
@@ -59,8 +56,8 @@ def prb_rates(
     prb_bandwidth_mhz
         Bandwidth of one PRB.
     rate_mbps
-        Result, shape (U*K,). Rounded to float32, so that sums over PRBs in double are exact and do not depend on
-        their order: a reader of the log gets the same bits.
+        Result, shape (U*K,). Rounded to float32, so that sums over PRBs in double are exact and do
+        not depend on their order: a reader of the log gets the same bits.
     """
     for i in range(fading_power.shape[0]):
         snr_i = snr[i] * np.float64(fading_power[i])

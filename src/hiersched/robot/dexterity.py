@@ -14,7 +14,7 @@ MIN_SPEED_MPS = 0.05
 def dexterity_index(
     tracking_error_cm: float, orientation_error_deg: float, curvature_per_m: float
 ) -> float:
-    """Dexterity index in [0, 1] of one window.
+    r"""Dexterity index in [0, 1] of one window.
 
     Parameters
     ----------

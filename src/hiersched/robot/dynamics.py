@@ -1,7 +1,7 @@
 """The nonlinear robot in the frame of its reference, with slip, saturation and a delayed loop.
 
-State x = (e_x, e_y, e_theta, dv, dw): position and heading error in the reference's frame, departure of speed and turn
-rate from the reference.
+State x = (e_x, e_y, e_theta, dv, dw): position and heading error in the reference's frame,
+departure of speed and turn rate from the reference.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ NUM_INPUTS = 2
 class RobotConstants(NamedTuple):
     """What does not change during a run.
 
-    `local_gain` and `network_gain`, shape (T_max + 1, 2, 5), act on the present and on the delayed measurement;
-    `turn_rate`, `half_cos`, `half_sin` and `chord`, shape (N,), describe the reference in each step, `offset`, shape (R,),
-    is where each robot starts in them.
+    `local_gain` and `network_gain`, shape (T_max + 1, 2, 5), act on the present and on the delayed
+    measurement; `turn_rate`, `half_cos`, `half_sin` and `chord`, shape (N,), describe the reference
+    in each step, `offset`, shape (R,), is where each robot starts in them.
     """
 
     step_s: float
@@ -56,8 +56,11 @@ class RobotConstants(NamedTuple):
 
 
 class RobotState(NamedTuple):
-    """What evolves, one row an environment: state (E, R, 5), slip (E, R, 2), control (E, R, 2), the ring of measured
-    states `history` (E, R, T_max + 1, 5), sums over the window (E, R, 3) and the dexterity index in force (E, R)."""
+    """What evolves, one row an environment.
+
+    State (E, R, 5), slip (E, R, 2), control (E, R, 2), the ring of measured states `history`
+    (E, R, T_max + 1, 5), sums over the window (E, R, 3), the dexterity index in force (E, R).
+    """
 
     state: NDArray[np.float64]
     slip: NDArray[np.float64]
@@ -97,7 +100,7 @@ def close_loop(
     history: NDArray[np.float64],
     control: NDArray[np.float64],
 ) -> int:
-    """Measure one robot, and set its control u(k) = -K_local x(k) - K_network x(k - T_d) with the gains of T_d.
+    """Measure one robot and set u(k) = -K_local x(k) - K_network x(k - T_d), gains of T_d.
 
     Parameters
     ----------
@@ -149,7 +152,9 @@ def move_step(
     state: NDArray[np.float64],
     sums: NDArray[np.float64],
 ) -> float:
-    """One integration step of one robot: midpoint rule in heading, exact in actuator lag and rotation of the frame.
+    """Move one robot by one integration step.
+
+    Midpoint rule in the heading, exact in the actuator lag and in the rotation of the frame.
 
     Parameters
     ----------
@@ -162,7 +167,8 @@ def move_step(
     state
         Shape (5,), in place.
     sums
-        Window sums of squared position error, absolute heading error and curvature, shape (3,), in place.
+        Window sums of squared position error, absolute heading error and curvature, shape (3,), in
+        place.
 
     Returns
     -------
@@ -197,4 +203,4 @@ def move_step(
     sums[0] += square
     sums[1] += abs(e_theta)
     sums[2] += abs(turn_rate + turn_error) / max(abs(velocity), MIN_SPEED_MPS)
-    return square
+    return float(square)

@@ -1,6 +1,7 @@
 """References that the robots follow, sampled at the midpoint of every integration step.
 
-A reference is a path at constant speed, given by its curvature over the arc length; the pose follows by integration.
+A reference is a path at constant speed, given by its curvature over the arc length; the pose
+follows by integration.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ ZIGZAG_PERIOD_M = 1.6
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceTable:
-    """A reference over time: poses (N + 1, 3) in m and rad at the ends of N steps, turn rate (N,) in rad/s within them."""
+    """Poses (N + 1, 3) in m and rad at the ends of N steps, turn rate (N,) in rad/s within."""
 
     speed_mps: float
     step_s: float
@@ -37,7 +38,10 @@ def _arc(arc_m: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _figure_eight(arc_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Bernoulli's lemniscate x = a cos p / (1 + sin² p), y = x sin p: ds/dp = a / sqrt(1 + sin² p)."""
+    """Bernoulli's lemniscate x = a cos p / (1 + sin² p), y = x sin p.
+
+    ds/dp = a / sqrt(1 + sin² p), from which the arc length follows by quadrature.
+    """
     grid = np.linspace(0.0, 2.0 * math.pi, 20_001)
     speed = EIGHT_HALF_WIDTH_M / np.sqrt(1.0 + np.sin(grid) ** 2)
     step = grid[1] - grid[0]
@@ -50,7 +54,7 @@ def _figure_eight(arc_m: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _zigzag(arc_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The heading swings between -60 and 60 degrees along a sine of the arc length."""
+    """Swing: the heading goes between -60 and 60 degrees along a sine of the arc length."""
     wave = 2.0 * math.pi / ZIGZAG_PERIOD_M
     curvature: NDArray[np.float64] = ZIGZAG_HEADING_RAD * wave * np.cos(wave * arc_m)
     return curvature
@@ -73,7 +77,7 @@ _PERIOD_M = {
 def reference_table(
     name: str, speed_mps: float, step_s: float, num_steps: int, num_robots: int
 ) -> tuple[ReferenceTable, NDArray[np.int64]]:
-    """A reference and the place in it at which each robot starts.
+    """Sample a reference and say where in it each robot starts.
 
     Parameters
     ----------
@@ -103,7 +107,7 @@ def reference_table(
         [round(period_steps * robot / num_robots) for robot in range(num_robots)], dtype=np.int64
     )
     total = num_steps + int(offset.max(initial=0))
-    middle_m = (np.arange(total) + 0.5) * step_s * speed_mps
+    middle_m = (np.arange(total, dtype=np.float64) + 0.5) * (step_s * speed_mps)
     turn_rate = speed_mps * _CURVATURE[name](middle_m)
     heading = np.concatenate([[0.0], np.cumsum(turn_rate * step_s)])
     middle_heading = 0.5 * (heading[1:] + heading[:-1])
@@ -113,7 +117,5 @@ def reference_table(
     x = np.concatenate([[0.0], np.cumsum(chord_m * np.cos(middle_heading))])
     y = np.concatenate([[0.0], np.cumsum(chord_m * np.sin(middle_heading))])
     pose = np.stack([x, y, heading], axis=1)
-    table = ReferenceTable(
-        speed_mps=speed_mps, step_s=step_s, pose=pose, turn_rate_radps=turn_rate
-    )
+    table = ReferenceTable(speed_mps=speed_mps, step_s=step_s, pose=pose, turn_rate_radps=turn_rate)
     return table, offset

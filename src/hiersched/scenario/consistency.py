@@ -30,7 +30,9 @@ def _users(scenario: Scenario) -> list[str]:
         ("traffic.embb_offered_mbps", traffic.embb_offered_mbps, users.num_embb),
     ):
         if isinstance(value, Sequence) and len(value) != count:
-            faults.append(f"{key} = {list(value)}: {len(value)} numbers, must be one number or {count}")
+            faults.append(
+                f"{key} = {list(value)}: {len(value)} numbers, must be one number or {count}"
+            )
     if radio.min_distance_m >= radio.cell_radius_m:
         faults.append(
             f"radio.min_distance_m = {radio.min_distance_m}: must be below radio.cell_radius_m = "
@@ -57,18 +59,18 @@ def _times(scenario: Scenario) -> list[str]:
     ]
     if not _is_multiple(scenario.robot.window_s, scenario.radio.slot_s):
         faults.append(
-            f"robot.window_s = {scenario.robot.window_s}: must be a multiple of radio.slot_s = "
-            f"{scenario.radio.slot_s}"
+            f"robot.window_s = {scenario.robot.window_s}: must be a multiple of "
+            f"radio.slot_s = {scenario.radio.slot_s}"
         )
     if not _is_multiple(scenario.robot.window_s, scenario.control.sampling_s):
         faults.append(
-            f"robot.window_s = {scenario.robot.window_s}: must be a multiple of control.sampling_s = "
-            f"{scenario.control.sampling_s}"
+            f"robot.window_s = {scenario.robot.window_s}: must be a multiple of "
+            f"control.sampling_s = {scenario.control.sampling_s}"
         )
     if scenario.control.method == "razumikhin" and scenario.control.plant == "network":
         faults.append(
-            "control.method = 'razumikhin': needs control.plant = 'split' (a plant with an eigenvalue on the "
-            "unit circle whose whole feedback is delayed has no Razumikhin certificate)"
+            "control.method = 'razumikhin': needs control.plant = 'split' (a plant with an "
+            "eigenvalue on the unit circle whose whole feedback is delayed has no such certificate)"
         )
     return faults
 
@@ -76,9 +78,10 @@ def _times(scenario: Scenario) -> list[str]:
 def _learning(scenario: Scenario) -> list[str]:
     learning = scenario.learning
     faults = []
-    if learning.episodes % learning.num_envs and learning.episodes < learning.num_envs:
+    if learning.episodes < learning.num_envs:
         faults.append(
-            f"learning.num_envs = {learning.num_envs}: at most learning.episodes = {learning.episodes}"
+            f"learning.num_envs = {learning.num_envs}: at most "
+            f"learning.episodes = {learning.episodes}"
         )
     if learning.batch_size > learning.replay_capacity:
         faults.append(
@@ -101,7 +104,8 @@ def _studies(scenario: Scenario) -> list[str]:
             faults.append(f"{key} = {list(seeds)}: every seed once")
     study = scenario.gain_study
     faults.extend(
-        f"gain_study.violation_windows = {window}: at most gain_study.num_windows = {study.num_windows}"
+        f"gain_study.violation_windows = {window}: at most "
+        f"gain_study.num_windows = {study.num_windows}"
         for window in study.violation_windows
         if window > study.num_windows
     )
@@ -111,15 +115,13 @@ def _studies(scenario: Scenario) -> list[str]:
     ):
         if low > high:
             faults.append(f"{key} = [{low}, {high}]: the lower bound first")
-    for section, policies in (
-        ("evaluate", scenario.evaluate.policies),
-        ("sweeps", scenario.sweeps.policies),
-    ):
-        faults.extend(
-            f"{section}.{key} = {value}: must be a multiple of radio.slot_s = {scenario.radio.slot_s}"
-            for key, value in (("duration_s", getattr(scenario, section).duration_s),)
-            if not _is_multiple(value, scenario.radio.slot_s)
-        )
-        if len(set(policies)) != len(policies):
-            faults.append(f"{section}.policies = {list(policies)}: every policy once")
+    slot_s = scenario.radio.slot_s
+    for name, section in (("evaluate", scenario.evaluate), ("sweeps", scenario.sweeps)):
+        if not _is_multiple(section.duration_s, slot_s):
+            faults.append(
+                f"{name}.duration_s = {section.duration_s}: must be a multiple of "
+                f"radio.slot_s = {slot_s}"
+            )
+        if len(set(section.policies)) != len(section.policies):
+            faults.append(f"{name}.policies = {list(section.policies)}: every policy once")
     return faults

@@ -17,7 +17,9 @@ from hiersched.scenario.consistency import inconsistencies
 from hiersched.scenario.schema import Scenario
 
 CONFIG = Path("config")
-_KEY_LINE = re.compile(r"^(\s*)([a-z_0-9]+):\s*([^#]*?)\s*(?:#\s*\[([^\]]+)\]\s*(paper|assumed)(?::\s*(.*))?)?$")
+_KEY_LINE = re.compile(
+    r"^(\s*)([a-z_0-9]+):\s*([^#]*?)\s*(?:#\s*\[([^\]]+)\]\s*(paper|assumed)(?::\s*(.*))?)?$"
+)
 
 
 class ScenarioError(ValueError):
@@ -31,7 +33,7 @@ class _UniqueKeyLoader(yaml.SafeLoader):
 def _unique_mapping(loader: _UniqueKeyLoader, node: yaml.MappingNode) -> dict[Any, Any]:
     seen = set()
     for key_node, _ in node.value:
-        key = loader.construct_object(key_node)  # type: ignore[no-untyped-call]
+        key = loader.construct_object(key_node)
         if key in seen:
             raise yaml.constructor.ConstructorError(
                 None, None, f"the key {key!r} stands twice", key_node.start_mark
@@ -55,7 +57,9 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     if data is None:
         return {}
     if not isinstance(data, dict):
-        raise ScenarioError(f"{path}: a scenario is a mapping of sections, not {type(data).__name__}")
+        raise ScenarioError(
+            f"{path}: a scenario is a mapping of sections, not {type(data).__name__}"
+        )
     return data
 
 
@@ -63,7 +67,9 @@ def _merge(base: Mapping[str, Any], overlay: Mapping[str, Any]) -> dict[str, Any
     merged = dict(base)
     for key, value in overlay.items():
         old = merged.get(key)
-        merged[key] = _merge(old, value) if isinstance(old, dict) and isinstance(value, dict) else value
+        merged[key] = (
+            _merge(old, value) if isinstance(old, dict) and isinstance(value, dict) else value
+        )
     return merged
 
 
@@ -85,11 +91,15 @@ def _value_at(data: Any, location: tuple[str | int, ...]) -> Any:
 
 
 def _describe(
-    error: ValidationError, merged: Mapping[str, Any], overlay: Mapping[str, Any], names: tuple[Path, Path]
+    error: ValidationError,
+    merged: Mapping[str, Any],
+    overlay: Mapping[str, Any],
+    names: tuple[Path, Path],
 ) -> str:
     lines = []
     for item in error.errors():
-        # Branches of a union append their own name to the location: cut back to what stands in the file.
+        # Branches of a union append their own name to the location: cut back to what stands in the
+        # file.
         location = item["loc"]
         while location and not _holds(merged, location) and item["type"] != "missing":
             location = location[:-1]
@@ -146,7 +156,9 @@ def find_scenario(name_or_path: str | Path) -> Path:
     candidate = CONFIG / "scenarios" / f"{name_or_path}.yaml"
     if not candidate.is_file():
         known = sorted(p.stem for p in (CONFIG / "scenarios").glob("*.yaml"))
-        raise ScenarioError(f"{candidate}: no such scenario; there are: {', '.join(known) or 'none'}")
+        raise ScenarioError(
+            f"{candidate}: no such scenario; there are: {', '.join(known) or 'none'}"
+        )
     return candidate
 
 
@@ -163,8 +175,9 @@ def load_scenario(name_or_path: str | Path, *, defaults: Path | None = None) -> 
     Raises
     ------
     ScenarioError
-        On an unreadable file, an unknown or missing key, a wrong type, a value out of range, or values
-        that do not fit each other; every fault is listed with file, key, value and what is allowed.
+        On an unreadable file, an unknown or missing key, a wrong type, a value out of range, or
+        values that do not fit each other; every fault is listed with file, key, value and what is
+        allowed.
     """
     path = find_scenario(name_or_path)
     defaults = defaults if defaults is not None else CONFIG / "defaults.yaml"
@@ -174,7 +187,9 @@ def load_scenario(name_or_path: str | Path, *, defaults: Path | None = None) -> 
     try:
         text = json.dumps(merged)
     except (TypeError, ValueError) as error:
-        raise ScenarioError(f"{path}: a value is neither number, text, list nor mapping: {error}") from error
+        raise ScenarioError(
+            f"{path}: a value is neither number, text, list nor mapping: {error}"
+        ) from error
     try:
         scenario = TypeAdapter(Scenario).validate_json(text, strict=True)
     except ValidationError as error:
@@ -192,7 +207,7 @@ def scenario_to_dict(scenario: Scenario) -> dict[str, Any]:
 
 
 def scenario_to_yaml(scenario: Scenario) -> str:
-    """The resolved scenario as YAML text that `load_scenario` reads back to the same scenario."""
+    """Write the resolved scenario as YAML that `load_scenario` reads back to the same scenario."""
     return yaml.safe_dump(scenario_to_dict(scenario), sort_keys=False, width=100)
 
 
@@ -213,7 +228,7 @@ class ParameterNote:
 
 
 def parameter_notes(defaults: Path | None = None) -> list[ParameterNote]:
-    """Unit, origin and meaning of every key, from the comments of the defaults file.
+    """Read unit, origin and meaning of every key, from the comments of the defaults file.
 
     Raises
     ------
@@ -232,7 +247,9 @@ def parameter_notes(defaults: Path | None = None) -> list[ParameterNote]:
             section = key
             continue
         if unit is None:
-            raise ScenarioError(f"{path}: line {number}: {key} lacks its comment '# [unit] paper|assumed: …'")
+            raise ScenarioError(
+                f"{path}: line {number}: {key} lacks its comment '# [unit] paper|assumed: …'"
+            )
         dotted = f"{section}.{key}" if indent else key
         notes.append(ParameterNote(key=dotted, unit=unit, origin=origin, meaning=meaning or ""))
     return notes

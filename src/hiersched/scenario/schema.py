@@ -1,4 +1,4 @@
-"""The parameters of a scenario as frozen dataclasses; `config/defaults.yaml` documents every key."""
+"""The parameters of a scenario; `config/defaults.yaml` documents every key."""
 
 from __future__ import annotations
 
@@ -245,5 +245,5 @@ class Scenario:
 
 
 def delay_steps(delay_s: float, sampling_s: float) -> int:
-    """Delay in whole control samples, ceil(D/h); a ratio within 1e-9 of an integer is that integer."""
+    """Delay in control samples, ceil(D/h); a ratio up to 1e-9 above an integer is that integer."""
     return int(-(-(delay_s / sampling_s - 1e-9) // 1))

@@ -103,7 +103,8 @@ class Simulator:
         Raises
         ------
         ValueError
-            On an unknown policy, weights that are not positive and finite, or slots beyond the horizon.
+            On an unknown policy, weights that are not positive and finite, or slots beyond the
+            horizon.
         """
         if policy not in CLASSICAL:
             raise ValueError(f"policy = {policy!r}: must be one of {', '.join(CLASSICAL)}")
@@ -116,9 +117,7 @@ class Simulator:
         elif weights.shape != self._ones.shape or not (
             np.isfinite(weights).all() and (weights > 0).all()
         ):
-            raise ValueError(
-                f"weights: must be positive and finite, shape {self._ones.shape}"
-            )
+            raise ValueError(f"weights: must be positive and finite, shape {self._ones.shape}")
         if record is None:
             record = self.new_record(num_slots)
         elif record.prb_owner.shape[:2] != (self.num_envs, num_slots):
@@ -138,7 +137,9 @@ class Simulator:
         return record
 
     def run_robots(self, network_delay_s: NDArray[np.float64]) -> SlotRecord:
-        """Run the robots alone under forced network delays, shape (E, T, R); the rest of the record stays 0.
+        """Run the robots alone under forced network delays, shape (E, T, R).
+
+        What belongs to the network stays 0 in the record.
 
         Raises
         ------

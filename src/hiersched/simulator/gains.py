@@ -18,21 +18,20 @@ from hiersched.control import (
 from hiersched.robot.plant import discretise, unicycle_error_model
 from hiersched.scenario.schema import Scenario
 
-
 POSE_STATES = (0, 1, 2)
 """What the operator of a split plant feeds back: the pose that the video shows."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LoopGains:
-    """Gains for T = 0 … T_max, shape (T_max + 1, 2, 5) each: on the present and on the delayed measurement."""
+    """Gains on the present and on the delayed measurement, shape (T_max + 1, 2, 5) each."""
 
     local_gains: NDArray[np.float64]
     network_gains: NDArray[np.float64]
 
 
 def plant_of(scenario: Scenario) -> DelayedPlant:
-    """The linear plant for which the scenario's gains are designed: straight reference, sampling interval h."""
+    """Plant for which the gains are designed: straight reference, sampling interval h."""
     robot, control = scenario.robot, scenario.control
     A, B = discretise(
         *unicycle_error_model(robot.speed_mps, 0.0, robot.actuator_lag_s), control.sampling_s
@@ -52,7 +51,7 @@ def plant_of(scenario: Scenario) -> DelayedPlant:
 
 
 def loop_gains(schedule: GainSchedule, plant: DelayedPlant) -> LoopGains:
-    """Gains of the loop: all feedback over the network, or (split plant) the scheduled part on the robot itself."""
+    """Gains of the loop: all over the network or, split plant, the scheduled part on the robot."""
     zeros = np.zeros_like(schedule.gains)
     if schedule.kind == "network":
         return LoopGains(local_gains=zeros, network_gains=schedule.gains)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hiersched.compiled import kernel
@@ -37,9 +36,7 @@ def draw_channel(
 ) -> None:
     """Draw the fading and the rates of environment `env`'s coming slot."""
     power = state.fading_power[env].reshape(-1)
-    draw_exponentials(
-        state.key[env], state.slot[env], constants.fading_scale, scratch.words, power
-    )
+    draw_exponentials(state.key[env], state.slot[env], constants.fading_scale, scratch.words, power)
     prb_rates(
         power,
         state.snr[env],
@@ -50,7 +47,7 @@ def draw_channel(
 
 @kernel()
 def draw_channels(constants: SlotConstants, state: SlotState, scratch: SlotScratch) -> None:
-    """Draw every environment's first slot; the moving average starts at the mean rate of one PRB."""
+    """Draw every environment's first slot; the average rate starts at that of one PRB."""
     num_users, num_prb = state.prb_rate_mbps.shape[1:]
     for env in range(state.key.shape[0]):
         draw_channel(constants, state, scratch, env)
@@ -120,7 +117,9 @@ def run_robots(
     for env in range(state.key.shape[0]):
         for index in range(record.network_delay_s.shape[1]):
             normals = record.robot_normal[env, index]
-            draw_normals(state.key[env], state.slot[env], scratch.normal_words, scratch.normals, normals)
+            draw_normals(
+                state.key[env], state.slot[env], scratch.normal_words, scratch.normals, normals
+            )
             for robot in range(constants.num_urllc):
                 dexterity = state.robots.dexterity_index[env, robot]
                 record.dexterity_index[env, index, robot] = dexterity
@@ -204,9 +203,9 @@ def _serve(
         rate[user] = 0.0
         count[user] = 0
     for prb in range(owner.shape[0]):
-        user = np.int64(owner[prb])
-        rate[user] += np.float64(state.prb_rate_mbps[env, user, prb])
-        count[user] += 1
+        user_of_prb = np.int64(owner[prb])
+        rate[user_of_prb] += np.float64(state.prb_rate_mbps[env, user_of_prb, prb])
+        count[user_of_prb] += 1
     slot = state.slot[env]
     drift_urllc = 0.0
     drift_embb = 0.0
@@ -253,13 +252,9 @@ def _serve(
             drift_urllc += drift
             penalty_urllc += penalty
             if constants.measured_constraint:
-                y = (
-                    constants.violation_share * due - late
-                ) / constants.mean_due_packets[user]
+                y = (constants.violation_share * due - late) / constants.mean_due_packets[user]
             else:
-                y = delay_surrogate(
-                    r, constants.delay_exponent_per_mbps, constants.violation_share
-                )
+                y = delay_surrogate(r, constants.delay_exponent_per_mbps, constants.violation_share)
             record.constraint[env, index, user] = y
             record.network_delay_s[env, index, user] = (
                 record.delay_s[env, index, user] + constants.robots.core_latency_s
@@ -275,9 +270,9 @@ def _serve(
     record.reward_urllc[env, index] = -(
         drift_urllc + constants.penalty_weight * penalty_urllc - priced
     ) / (constants.num_urllc * constants.reward_scale)
-    record.reward_embb[env, index] = -(
-        drift_embb + constants.penalty_weight * penalty_embb
-    ) / ((num_users - constants.num_urllc) * constants.reward_scale)
+    record.reward_embb[env, index] = -(drift_embb + constants.penalty_weight * penalty_embb) / (
+        (num_users - constants.num_urllc) * constants.reward_scale
+    )
 
 
 @kernel()

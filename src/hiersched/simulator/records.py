@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 class SlotRecord(NamedTuple):
     """Slots of E environments; every array has leading axes (E, T), then the shape noted.
 
-    U users (URLLC first), R robots (one a URLLC user), K PRBs. Fields and units are those of the log's topics.
+    U users (URLLC first), R robots (one a URLLC user), K PRBs. Fields and units are those of the
+    log's topics.
     """
 
     fading_power: NDArray[np.float32]  # (U, K) squared amplitude
@@ -52,10 +53,10 @@ class SlotRecord(NamedTuple):
 
     def environment(self, index: int) -> dict[str, NDArray[Any]]:
         """Fields of one environment by name, each with leading axis (T,)."""
-        return {name: value[index] for name, value in zip(self._fields, self, strict=True)}
+        return {name: getattr(self, name)[index] for name in self._fields}
 
 
-_SHAPES = {
+_SHAPES: dict[str, tuple[str | int, ...]] = {
     "fading_power": ("U", "K"),
     "robot_normal": ("R", 5),
     "prb_owner": ("K",),

@@ -19,7 +19,7 @@ from hiersched.scenario.schema import Scenario
 
 
 class Gains(Protocol):
-    """What the slot loop needs of a gain schedule: gains for T = 0 … T_max, shape (T_max + 1, 2, 5) each."""
+    """What the slot loop needs of a schedule: gains for T = 0 … T_max, (T_max + 1, 2, 5) each."""
 
     @property
     def local_gains(self) -> NDArray[np.float64]:
@@ -60,7 +60,7 @@ class SlotConstants(NamedTuple):
 
 
 class SlotState(NamedTuple):
-    """What evolves, one row an environment; `fading_power` and `prb_rate_mbps` are those of the coming slot."""
+    """What evolves, one row an environment; the channel is that of the coming slot."""
 
     key: NDArray[np.uint64]  # (E,)
     slot: NDArray[np.int64]  # (E,)
@@ -106,22 +106,21 @@ def slot_constants(scenario: Scenario, gains: Gains, num_slots: int) -> SlotCons
     Raises
     ------
     ValueError
-        If the gains do not cover the scenario's delays, or a user's mean arrivals are beyond the Poisson quantile.
+        If the gains do not cover the scenario's delays, or a user's mean arrivals are beyond the
+        Poisson quantile.
     """
     radio, traffic, objective = scenario.radio, scenario.traffic, scenario.objective
     num_urllc, num_embb = scenario.users.num_urllc, scenario.users.num_embb
     packet_mbit = traffic.packet_bits * 1e-6
     delay_s = (
-        traffic.deadline_s
-        if traffic.application_delay_s is None
-        else traffic.application_delay_s
+        traffic.deadline_s if traffic.application_delay_s is None else traffic.application_delay_s
     )
     interval_s = radio.slot_s + delay_s
     offered_urllc = traffic.load * _per_user(traffic.urllc_offered_mbps, num_urllc)
     offered_embb = traffic.load * _per_user(traffic.embb_offered_mbps, num_embb)
     sensitivity = np.repeat([traffic.rate_sensitivity, 0.0], [num_urllc, num_embb])
-    # lambda_0 such that the load at the reference rate is the offered one: the interval of the arrivals is longer than
-    # a slot (SPEC 2), so lambda_0 is smaller than the load.
+    # lambda_0 such that the load at the reference rate is the offered one: the interval of the
+    # arrivals is longer than a slot (SPEC 2), so lambda_0 is smaller than the load.
     base = offered_urllc * radio.slot_s / interval_s + (
         traffic.rate_sensitivity * traffic.reference_rate_mbps
     )
@@ -132,7 +131,8 @@ def slot_constants(scenario: Scenario, gains: Gains, num_slots: int) -> SlotCons
         user = int(worst.argmax())
         raise ValueError(
             f"user {user}: up to {worst[user]:.6g} batches a slot on average; at most {MAX_MEAN:g} "
-            "(lower traffic.load or the offered rate, or raise traffic.packet_bits or traffic.batch_packets)"
+            "(lower traffic.load or the offered rate, or raise traffic.packet_bits or "
+            "traffic.batch_packets)"
         )
     deadline_s = np.repeat([traffic.deadline_s, traffic.embb_deadline_s], [num_urllc, num_embb])
     rules = SchedulerConstants(
@@ -156,9 +156,7 @@ def slot_constants(scenario: Scenario, gains: Gains, num_slots: int) -> SlotCons
         service_coefficient_mbps=traffic.service_coefficient_mbps,
         batch_packets=traffic.batch_packets,
         deadline_slots=_near_integer(deadline_s / radio.slot_s),
-        mean_due_packets=np.concatenate([offered_urllc, offered_embb])
-        * radio.slot_s
-        / packet_mbit,
+        mean_due_packets=np.concatenate([offered_urllc, offered_embb]) * radio.slot_s / packet_mbit,
         penalty_weight=objective.penalty_weight,
         epsilon=objective.epsilon,
         delay_exponent_per_mbps=objective.delay_exponent * traffic.deadline_s,
@@ -172,7 +170,7 @@ def slot_constants(scenario: Scenario, gains: Gains, num_slots: int) -> SlotCons
 
 
 def _near_integer(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """0.02 s / 0.01 s must be 2 slots, not 2.0000000000000004: quotients within 1e-9 of an integer become it."""
+    """Round quotients within 1e-9 of an integer: 0.02 s / 0.01 s must be 2 slots."""
     rounded = np.round(values)
     return np.where(np.abs(values - rounded) < 1e-9 * np.maximum(1.0, rounded), rounded, values)
 
@@ -198,7 +196,10 @@ def robot_constants(
             raise ValueError(f"{name}: shape {array.shape}, must be {(needed, 2, 5)}")
     if control.gain == "nominal":
         # The schedule's entry for delay 0 is the nominal gain, whatever the delay.
-        local, network = np.repeat(local[:1], needed, axis=0), np.repeat(network[:1], needed, axis=0)
+        local, network = (
+            np.repeat(local[:1], needed, axis=0),
+            np.repeat(network[:1], needed, axis=0),
+        )
     table, offset = reference_table(
         robot.reference, robot.speed_mps, step_s, num_slots * steps_per_slot, num_robots
     )
@@ -235,10 +236,8 @@ def robot_constants(
     )
 
 
-def initial_state(
-    scenario: Scenario, keys: NDArray[np.uint64], num_slots: int
-) -> SlotState:
-    """Empty queues and robots on their reference in the worlds `keys`, shape (E,), for `num_slots` slots.
+def initial_state(scenario: Scenario, keys: NDArray[np.uint64], num_slots: int) -> SlotState:
+    """Empty queues, and robots on their reference, in the worlds `keys` (E,).
 
     The channel of slot 0 is not drawn yet: `Simulator` does that.
     """
