@@ -12,8 +12,8 @@ from hiersched.study.style import (
     Look,
     caption,
     draw_series,
-    inside_legend,
     new_figure,
+    shared_legend,
 )
 
 _NOMINAL = Look("nominal gain", "#D55E00", (0, (4, 1.5)), "s")
@@ -48,7 +48,7 @@ def draw_gain(gains: pd.DataFrame, scenario: Scenario) -> Figure:
     left.set_xticks([1, *range(5, scenario.gain_study.num_windows + 1, 5)])
     left.set_xlabel(f"time slot (window of {scenario.robot.window_s:g} s)")
     left.set_ylabel("RMS over the window [cm]")
-    inside_legend(left, columns=2)
+    shared_legend(figure, left)
     violated = gains[gains["violated"]]
     slots = sorted(violated["slot"].unique())
     groups = list(violated.groupby("method", sort=False))
@@ -57,7 +57,7 @@ def draw_gain(gains: pd.DataFrame, scenario: Scenario) -> Figure:
         x = [
             slots.index(slot) + 0.16 * (number - 0.5 * (len(groups) - 1)) for slot in group["slot"]
         ]
-        label = f"{str(name).capitalize()}, {group['plant'].iloc[0]} plant"
+        label = f"{str(name).capitalize()}, {group['plant'].iloc[0]}"
         bounds = group["ratio_lo"], group["ratio_hi"]
         draw_series(right, x, group["ratio"], *bounds, look, label=label)
     paper = violated[violated["method"] == method]
@@ -68,7 +68,7 @@ def draw_gain(gains: pd.DataFrame, scenario: Scenario) -> Figure:
         marker="*",
         markersize=9,
         color=PAPER_COLOR,
-        label="paper (Table II)",
+        label="paper",
         zorder=4,
     )
     right.axhline(1.0, color="#5f5f5f", linewidth=0.9)
@@ -80,11 +80,11 @@ def draw_gain(gains: pd.DataFrame, scenario: Scenario) -> Figure:
     right.set_title(f"(b) adjusted / nominal: {mean:.2f} on average")
     right.set_xlabel("time slot of violated delay")
     right.set_ylabel("ratio of tracking errors [1]")
-    inside_legend(right)
+    shared_legend(figure, right, side="right")
     caption(
         figure,
         f"Mean over robots and {len(scenario.gain_study.seeds)} seeds; bars: 95 % intervals, "
         "Student t in (a), Fieller in (b). Grey: violated delay; elsewhere both loops have the "
-        "nominal gain.",
+        "nominal gain. Stars: the paper's Table II. Without a bar: equal gains, or unbounded.",
     )
     return figure

@@ -26,7 +26,7 @@ from hiersched.study.files import write_bytes
 WIDTH_IN = 7.2
 PANEL_HEIGHT_IN = 2.7
 DPI = 200
-CAPTION_CHARACTERS = 165
+CAPTION_CHARACTERS = 150
 GREY = "#5f5f5f"
 PAPER_COLOR = "#000000"
 
@@ -134,18 +134,6 @@ def shared_legend(
         loc="outside upper right" if side == "right" else "outside upper left",
         ncols=columns or len(labels),
         columnspacing=1.4,
-    )
-
-
-def inside_legend(axes: Axes, *, columns: int = 1) -> None:
-    """Put a legend into the lower part of a panel, on white so that lines do not run through it."""
-    axes.legend(
-        loc="lower center",
-        ncols=columns,
-        frameon=True,
-        facecolor="white",
-        framealpha=0.9,
-        edgecolor="none",
     )
 
 
