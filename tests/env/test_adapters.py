@@ -73,7 +73,9 @@ def test_both_views_of_a_world_agree(scenario, gains):
     seen, _ = single.reset(seed=5)
     views, _ = pair.reset(seed=5)
     for slot in range(6):
-        np.testing.assert_array_equal(np.concatenate((views["urllc"][:, :8], views["embb"][:, :8])), seen)
+        np.testing.assert_array_equal(
+            np.concatenate((views["urllc"][:, :8], views["embb"][:, :8])), seen
+        )
         action = actions_of(5, slot)
         seen, reward, _, _, info = single.step(action)
         views, rewards, _, truncated, infos = pair.step({"urllc": action[:3], "embb": action[3:]})
@@ -92,6 +94,4 @@ def test_with_equal_actions_the_environment_is_proportional_fair(scenario, gains
         *_, info = batch.step(np.zeros((2, 5), np.float32))
         info = info.get("final_info", info)
         np.testing.assert_array_equal(info["prb_count"], record.num_prb[:, slot])
-        np.testing.assert_array_equal(
-            info["cost"], record.late_packets[:, slot, :3].sum(-1)
-        )
+        np.testing.assert_array_equal(info["cost"], record.late_packets[:, slot, :3].sum(-1))

@@ -54,6 +54,18 @@ def test_gradient_is_that_of_finite_differences():
     assert torch.autograd.gradcheck(lambda w: prb_shares(w, 11), (weights,))
 
 
+def test_a_held_user_gets_a_share_of_the_gradient_without_the_floor():
+    """K w / sum w has the derivative n_i (delta_ij - n_j / K) / w_j; it is taken at the held n."""
+    weights = torch.tensor([4.0, 2.0, 0.5], dtype=torch.float64, requires_grad=True)
+    plain = torch.autograd.functional.jacobian(lambda w: prb_shares(w, 9), weights)
+    both = torch.autograd.functional.jacobian(lambda w: prb_shares(w, 9, floor_slope=0.25), weights)
+    n = np.array([16 / 3, 8 / 3, 1.0])
+    free = (np.diag(n) - np.outer(n, n) / 9) / np.array([4.0, 2.0, 0.5])
+    np.testing.assert_allclose((both - plain).numpy(), 0.25 * free, rtol=1e-9)
+    assert plain[2, 2] == 0.0
+    np.testing.assert_allclose(prb_shares(weights, 9, floor_slope=0.25).detach().numpy(), n)
+
+
 def test_known_case():
     """Nine PRBs, weights 4, 2, 1/2: the last one is held at 1, the others share 8 as 2 to 1."""
     shares = prb_shares(torch.tensor([4.0, 2.0, 0.5]), 9)

@@ -12,7 +12,7 @@ def numbered(seed, episode, env, slot):
 
 
 def fill(replay, episodes, slots_of_last):
-    """Play episodes whose every number says where it stands; returns the numbers that can be sampled."""
+    """Play episodes whose every number says where it stands; returns those that can be drawn."""
     seen = []
     for episode in range(episodes):
 
@@ -20,11 +20,16 @@ def fill(replay, episodes, slots_of_last):
             place = np.array(
                 [[numbered(s, episode, e, slot) for e in range(ENVS)] for s in range(SEEDS)]
             )
-            return np.broadcast_to(place[..., None] if len(shape) == 1 else place[..., None, None], (SEEDS, ENVS, *shape))
+            return np.broadcast_to(
+                place[..., None] if len(shape) == 1 else place[..., None, None],
+                (SEEDS, ENVS, *shape),
+            )
 
         replay.start_round(at(0, (USERS, 8)))
         for slot in range(SLOTS if episode < episodes - 1 else slots_of_last):
-            replay.add(at(slot, (USERS,)), at(slot, (USERS,)), at(slot, (URLLC,)), at(slot + 1, (USERS, 8)))
+            replay.add(
+                at(slot, (USERS,)), at(slot, (USERS,)), at(slot, (URLLC,)), at(slot + 1, (USERS, 8))
+            )
             seen.append((episode, slot))
     return {
         numbered(0, episode, env, slot)
@@ -45,6 +50,8 @@ def test_every_transition_held_and_no_other_is_drawn():
             numbers = batch.features[seed, :, 0, 0]
             assert set(numbers.astype(int) - seed) == held
             for field in (batch.prb_count, batch.base_reward, batch.constraint):
-                np.testing.assert_array_equal(field[seed], np.broadcast_to(numbers[:, None], field[seed].shape))
-            # The next features are of the same environment one slot later, at the end of an episode too.
+                np.testing.assert_array_equal(
+                    field[seed], np.broadcast_to(numbers[:, None], field[seed].shape)
+                )
+            # The next features: same environment, one slot later, after the last slot too.
             np.testing.assert_array_equal(batch.next_features[seed, :, 0, 0], numbers + 100)

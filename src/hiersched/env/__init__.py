@@ -1,7 +1,7 @@
 """The simulator as reinforcement-learning environments: adapters without physics.
 
-`SlicingVectorEnv` (Gymnasium, a native batch), `SlicingEnv` (Gymnasium, one world) and `SlicingParallelEnv`
-(PettingZoo) load their libraries when they are first asked for.
+`SlicingVectorEnv` (Gymnasium, a native batch), `SlicingEnv` (Gymnasium, one world) and
+`SlicingParallelEnv` (PettingZoo) load their libraries when they are first asked for.
 """
 
 from __future__ import annotations

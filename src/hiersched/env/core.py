@@ -11,13 +11,13 @@ from hiersched.simulator import Gains, Simulator, SlotRecord
 
 
 def action_weights(actions: NDArray[np.floating], weight_exponent: float) -> NDArray[np.float64]:
-    """Weights w = exp(c a) of actions a, any shape, rounded to float32 so that a float32 log is lossless."""
+    """Turn actions a into weights w = exp(c a), any shape; float32 values, as the log has them."""
     exponent = np.float64(weight_exponent) * actions
     return np.exp(exponent).astype(np.float32).astype(np.float64)
 
 
 class SlotLoop:
-    """Episodes of a fixed length in E worlds at once; an action is one number in [-1, 1] for every user.
+    """Episodes of a fixed length in E worlds; an action is a number in [-1, 1] for every user.
 
     Parameters
     ----------
@@ -35,7 +35,8 @@ class SlotLoop:
     record
         The last slot, leading axes (E, 1); overwritten by the next one.
     multipliers
-        Multiplier of each URLLC user's delay constraint, shape (E, R); seen by the agents and priced in the rewards.
+        Multiplier of each URLLC user's delay constraint, shape (E, R); seen by the agents and
+        priced in the rewards.
     """
 
     def __init__(
@@ -52,7 +53,7 @@ class SlotLoop:
         return self.simulator.slots_left == 0
 
     def reset(self, keys: NDArray[np.uint64]) -> NDArray[np.float32]:
-        """Start an episode in the worlds `keys`, shape (E,); returns the features, shape (E, U, F)."""
+        """Start an episode in the worlds `keys`, shape (E,); returns features (E, U, F)."""
         self.simulator.reset(keys)
         return self.features()
 
@@ -61,7 +62,7 @@ class SlotLoop:
         return user_features(self.simulator, self.multipliers)
 
     def step(self, actions: NDArray[np.floating]) -> NDArray[np.float32]:
-        """Run one slot under actions of shape (E, U); returns the next features, `record` holds the slot.
+        """Run one slot under actions (E, U), to be found in `record`; returns the next features.
 
         Raises
         ------

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from hiersched.simulator import Simulator
 
 FEATURE_VERSION = 1
-"""Rises whenever a feature changes its meaning: a policy runs only on the version it was trained with."""
+"""Rises when a feature changes its meaning: a policy runs only on the version it has learnt."""
 
 FEATURES = (
     "need",  # PRBs that would empty the queue at the coming slot's mean rate, / NEED_SCALE
@@ -33,9 +33,7 @@ def multiplier_feature(multipliers: NDArray[np.float64]) -> NDArray[np.float32]:
     return np.log1p(multipliers).astype(np.float32)
 
 
-def user_features(
-    simulator: Simulator, multipliers: NDArray[np.float64]
-) -> NDArray[np.float32]:
+def user_features(simulator: Simulator, multipliers: NDArray[np.float64]) -> NDArray[np.float32]:
     """Features of every user at the start of the coming slot.
 
     Parameters
@@ -48,7 +46,8 @@ def user_features(
     Returns
     -------
     features
-        Shape (E, U, NUM_FEATURES), URLLC users first. Slice means are not among them: the networks form them.
+        Shape (E, U, NUM_FEATURES), URLLC users first. Slice means are not among them: the networks
+        form them.
     """
     constants, state = simulator.constants, simulator.state
     num_urllc = constants.num_urllc
@@ -71,7 +70,7 @@ def user_features(
 def agent_views(
     features: NDArray[np.float32], num_urllc: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """What each agent sees of its own users: their features, the slice's mean and the other slice's mean.
+    """Give each agent its users' features, their slice's mean and the other slice's mean.
 
     Parameters
     ----------
@@ -90,7 +89,11 @@ def agent_views(
     own, other = slices, (means[1], means[0])
     urllc, embb = (
         np.concatenate(
-            (own[k], np.broadcast_to(means[k], own[k].shape), np.broadcast_to(other[k], own[k].shape)),
+            (
+                own[k],
+                np.broadcast_to(means[k], own[k].shape),
+                np.broadcast_to(other[k], own[k].shape),
+            ),
             axis=-1,
         )
         for k in range(2)

@@ -22,8 +22,9 @@ AGENTS = ("urllc", "embb")
 class SlicingParallelEnv(ParallelEnv):
     """Two agents, `urllc` and `embb`; each gives every user of its slice one number in [-1, 1].
 
-    Observation of an agent (n, 3 F): its users' features, the slice's mean and the other slice's mean. Reward: that of
-    the own slice, or the mean of both where the scenario says `reward: cooperative`.
+    Observation of an agent (n, 3 F): its users' features, the slice's mean and the other slice's
+    mean. Reward: that of the own slice, or the mean of both where the scenario says `reward:
+    cooperative`.
 
     Parameters
     ----------
@@ -35,7 +36,10 @@ class SlicingParallelEnv(ParallelEnv):
         Slots of an episode; those of the scenario's training unless given.
     """
 
-    metadata = {"name": "hiersched_v0", "render_modes": []}
+    metadata: dict[str, Any] = {  # noqa: RUF012 (as the base class has it)
+        "name": "hiersched_v0",
+        "render_modes": [],
+    }
 
     def __init__(self, scenario: Scenario, gains: Gains, *, num_slots: int | None = None) -> None:
         self.possible_agents = list(AGENTS)
@@ -60,11 +64,11 @@ class SlicingParallelEnv(ParallelEnv):
         return np.array([world_key("env", self._seed, self._next_world)], np.uint64)
 
     def observation_space(self, agent: str) -> spaces.Box:
-        """Observation space of an agent, always the same object."""
+        """Return the observation space of an agent, always the same object."""
         return self._observation_spaces[agent]
 
     def action_space(self, agent: str) -> spaces.Box:
-        """Action space of an agent, always the same object."""
+        """Return the action space of an agent, always the same object."""
         return self._action_spaces[agent]
 
     def _views(self, features: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
@@ -92,7 +96,9 @@ class SlicingParallelEnv(ParallelEnv):
     ]:
         """Run one slot under both agents' actions."""
         features = self._loop.step(np.concatenate([actions[agent] for agent in AGENTS])[None])
-        info = {name: value[0] for name, value in slot_info(self._loop.record, self._num_urllc).items()}
+        info = {
+            name: value[0] for name, value in slot_info(self._loop.record, self._num_urllc).items()
+        }
         rewards = {agent: float(info[f"reward_{agent}"]) for agent in AGENTS}
         if self._cooperative:
             mean = 0.5 * sum(rewards.values())

@@ -28,7 +28,9 @@ class SlicingEnv(gymnasium.Env):
         Slots of an episode; those of the scenario's training unless given.
     """
 
-    metadata = {"render_modes": []}
+    metadata: dict[str, Any] = {  # noqa: RUF012 (as the base class has it)
+        "render_modes": []
+    }
 
     def __init__(self, scenario: Scenario, gains: Gains, *, num_slots: int | None = None) -> None:
         self.observation_space, self.action_space = user_spaces(scenario.num_users)
@@ -57,6 +59,8 @@ class SlicingEnv(gymnasium.Env):
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Run one slot; the slot limit is truncation."""
         features = self._loop.step(np.asarray(action)[None])
-        info = {name: value[0] for name, value in slot_info(self._loop.record, self._num_urllc).items()}
+        info = {
+            name: value[0] for name, value in slot_info(self._loop.record, self._num_urllc).items()
+        }
         reward = 0.5 * float(info["reward_urllc"] + info["reward_embb"])
         return features[0], reward, False, self._loop.finished, info

@@ -18,7 +18,7 @@ from hiersched.simulator import Gains, SlotRecord
 
 
 def user_spaces(num_users: int) -> tuple[spaces.Box, spaces.Box]:
-    """Observation and action space of one world: features of every user, one number in [-1, 1] for each."""
+    """Spaces of one world: features of every user, one number in [-1, 1] for each."""
     return (
         spaces.Box(-np.inf, np.inf, (num_users, NUM_FEATURES), np.float32),
         spaces.Box(-1.0, 1.0, (num_users,), np.float32),
@@ -26,7 +26,7 @@ def user_spaces(num_users: int) -> tuple[spaces.Box, spaces.Box]:
 
 
 def slot_info(record: SlotRecord, num_urllc: int) -> dict[str, NDArray[Any]]:
-    """What a slot cost, shape (E,) or (E, U) each: `cost` counts the URLLC packets that became late in the slot."""
+    """Say what a slot cost, shape (E,) or (E, U) each; `cost` counts packets now late."""
     return {
         "cost": record.late_packets[:, 0, :num_urllc].sum(axis=-1).astype(np.float64),
         "due_packets": record.due_packets[:, 0, :num_urllc].sum(axis=-1).astype(np.float64),
@@ -39,10 +39,10 @@ def slot_info(record: SlotRecord, num_urllc: int) -> dict[str, NDArray[Any]]:
 class SlicingVectorEnv(VectorEnv):
     """E worlds side by side; one decision a slot for all users of both slices.
 
-    Observation (E, U, F): `env.features`. Action (E, U): one number in [-1, 1] for every user, the weight is exp(c a).
-    Reward: mean of both slices' rewards; the parts and the cost are in the info. An episode ends at the slot limit
-    only, which is truncation; all worlds end together and start anew in the same step (SAME_STEP), with the last
-    observation in ``info["final_obs"]``.
+    Observation (E, U, F): `env.features`. Action (E, U): one number in [-1, 1] for every user, the
+    weight is exp(c a). Reward: mean of both slices' rewards; the parts and the cost are in the
+    info. An episode ends at the slot limit only, which is truncation; all worlds end together and
+    start anew in the same step (SAME_STEP), with the last observation in ``info["final_obs"]``.
 
     Parameters
     ----------
@@ -56,7 +56,10 @@ class SlicingVectorEnv(VectorEnv):
         Slots of an episode; those of the scenario's training unless given.
     """
 
-    metadata = {"autoreset_mode": AutoresetMode.SAME_STEP, "render_modes": []}
+    metadata: dict[str, Any] = {  # noqa: RUF012 (as the base class has it)
+        "autoreset_mode": AutoresetMode.SAME_STEP,
+        "render_modes": [],
+    }
 
     def __init__(
         self, scenario: Scenario, gains: Gains, num_envs: int, *, num_slots: int | None = None

@@ -1,4 +1,4 @@
-"""Checkpoints of a training between two rounds: what goes on from one is what would have been, bit for bit."""
+"""Checkpoints between two rounds: what goes on from one is what would have been, bit for bit."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class CheckpointError(ValueError):
 
 
 def _identity(scenario_sha256: str) -> dict[str, Any]:
-    """What must be the same for the bits to be the same; the thread count is always 1."""
+    """List what must be the same for the bits to be the same; the thread count is always 1."""
     return {
         "format": _FORMAT,
         "scenario_sha256": scenario_sha256,
@@ -47,7 +47,9 @@ def load_checkpoint(path: Path, scenario_sha256: str) -> dict[str, Any]:
         found = dict(saved["identity"])
         state: dict[str, Any] = saved["state"]
     except Exception as error:
-        raise CheckpointError(f"{path}: not a checkpoint: {error}; delete it to start anew") from error
+        raise CheckpointError(
+            f"{path}: not a checkpoint: {error}; delete it to start anew"
+        ) from error
     for name, wanted in _identity(scenario_sha256).items():
         if found.get(name) != wanted:
             raise CheckpointError(

@@ -30,7 +30,7 @@ _ADAM_DECAY, _ADAM_SQUARE_DECAY, _ADAM_EPSILON = 0.9, 0.999, 1e-8
 
 
 class StackedAdam:
-    """Adam (Kingma and Ba 2015) on the rows of a flat parameter tensor, each row clipped to a gradient norm."""
+    """Adam (Kingma and Ba 2015) on the rows of a flat tensor, each clipped to a gradient norm."""
 
     def __init__(self, parameters: Tensor, learning_rate: float, gradient_clip: float) -> None:
         self._learning_rate = learning_rate
@@ -56,10 +56,10 @@ class StackedAdam:
 
 @dataclass
 class Losses:
-    """Losses of an update, shape (seeds, 2) each."""
+    """Losses of an update, shape (seeds, 2) each; the actors' is None while they wait."""
 
     critic: Tensor
-    actor: Tensor
+    actor: Tensor | None
 
 
 class Learner:
@@ -98,14 +98,12 @@ class Learner:
         return torch.from_numpy(np.stack(rows))
 
     def act(self, features: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Actions a in [-1, 1], shape (seeds, E, U), from features (seeds, E, U, F); without noise."""
+        """Act without noise: a in [-1, 1], shape (seeds, E, U), on features (seeds, E, U, F)."""
         with torch.no_grad():
             inputs = network_inputs(torch.from_numpy(features), self.slices)
             return self._actions(self.actor, inputs, features.shape[0]).numpy()
 
-    def update(
-        self, batch: Transitions, multipliers: NDArray[np.float64]
-    ) -> Losses:
+    def update(self, batch: Transitions, multipliers: NDArray[np.float64]) -> Losses:
         """One step of every critic and every actor, then of the targets.
 
         Parameters
@@ -113,20 +111,23 @@ class Learner:
         batch
             From the replay buffer.
         multipliers
-            The multipliers now in force, shape (seeds, R); rewards and features are formed with them.
+            The multipliers now in force, shape (seeds, R); rewards and features are formed with
+            them.
         """
         features, following = _with_multiplier(batch, multipliers)
         inputs = network_inputs(features, self.slices)
         reward = compose_rewards(batch, multipliers, self.slices, self._learning.reward_scale)
         target = self._targets(reward, following)
         critic_loss = self._update_critics(inputs, torch.from_numpy(batch.prb_count), target)
-        actor_loss = self._update_actors(inputs, len(features), multipliers)
+        actor_loss = None
+        if self.critic_adam.steps > self._learning.critic_warmup_updates:
+            actor_loss = self._update_actors(inputs, len(features), multipliers)
         self.target_actor.lerp_(self.actor, self._learning.target_rate)
         self.target_critic.lerp_(self.critic, self._learning.target_rate)
         return Losses(critic=critic_loss, actor=actor_loss)
 
     def _targets(self, reward: Tensor, following: Tensor) -> Tensor:
-        """r + discount Q'(s', n'(s')), shape (seeds, 2, B, n); the slot limit is truncation, so never without Q'."""
+        """Form r + discount Q'(s', n'), shape (seeds, 2, B, n); truncation never drops Q'."""
         with torch.no_grad():
             inputs = network_inputs(following, self.slices)
             actions = self._actions(self.target_actor, inputs, len(following))
@@ -148,41 +149,46 @@ class Learner:
     ) -> Tensor:
         """Raise the value of the allocation that the actors' weights would buy.
 
-        An agent's own reward is what its critic predicts. `independent`: an actor raises its own critic's value, the
-        other agent's weights held. `cooperative`: both raise the mean of the two critics, which is the value of the
-        mean reward, since values are linear in rewards.
+        An agent's own reward is what its critic predicts. `independent`: an actor raises its own
+        critic's value, the other agent's weights held. `cooperative`: both raise the mean of the
+        two critics, which is the value of the mean reward, since values are linear in rewards.
         """
         actor = self.actor.requires_grad_()
-        log_weights = self._learning.weight_exponent * self._actions(actor, inputs, num_seeds)
+        raw = self._raw_actions(actor, inputs, num_seeds)
+        log_weights = self._learning.weight_exponent * raw.tanh()
         if self._learning.reward == "cooperative":
-            shares = prb_shares(log_weights.exp(), self._num_prb)
-            value = self._values(self.critic, inputs, shares)
+            value = self._values(self.critic, inputs, self._shares_of(log_weights))
         else:
             value = torch.stack(
                 [
-                    self._values(self.critic, inputs, self._shares_of(agent, log_weights))[:, agent]
-                    for agent in range(NUM_AGENTS)
+                    self._values(self.critic, inputs, self._shares_of(own))[:, agent]
+                    for agent, own in enumerate(self._other_held(log_weights))
                 ],
                 dim=1,
             )
         loss = -value.mean(-1)
         price = 1.0 + torch.from_numpy(multipliers.mean(-1)).float()
-        (gradient,) = torch.autograd.grad((loss.sum(-1) / price).sum(), actor)
+        penalty = self._learning.action_penalty * raw.square().mean((1, 2))
+        (gradient,) = torch.autograd.grad((loss.sum(-1) / price + penalty).sum(), actor)
         self.actor = actor.detach()
         self.actor_adam.step(self.actor, gradient)
         return loss.detach()
 
-    def _shares_of(self, agent: int, log_weights: Tensor) -> Tensor:
-        """PRB shares through which only `agent`'s own weights pass a gradient."""
-        own = torch.zeros(log_weights.shape[-1], dtype=torch.bool)
-        first = self.slices.num_urllc
-        own[slice(0, first) if agent == 0 else slice(first, None)] = True
-        return prb_shares(
-            torch.where(own, log_weights, log_weights.detach()).exp(), self._num_prb
-        )
+    def _shares_of(self, log_weights: Tensor) -> Tensor:
+        return prb_shares(log_weights.exp(), self._num_prb, floor_slope=self._learning.floor_slope)
+
+    def _other_held(self, log_weights: Tensor) -> tuple[Tensor, Tensor]:
+        """For each agent the same logarithms, of which only its own pass a gradient."""
+        urllc = torch.arange(log_weights.shape[-1]) < self.slices.num_urllc
+        held = log_weights.detach()
+        return torch.where(urllc, log_weights, held), torch.where(urllc, held, log_weights)
 
     def _actions(self, actor: Tensor, inputs: Tensor, num_seeds: int) -> Tensor:
-        rows = self.actor_layers.forward(actor, inputs).tanh()
+        return self._raw_actions(actor, inputs, num_seeds).tanh()
+
+    def _raw_actions(self, actor: Tensor, inputs: Tensor, num_seeds: int) -> Tensor:
+        """Return the outputs of the actors before tanh, shape (seeds, B, U)."""
+        rows = self.actor_layers.forward(actor, inputs)
         rows = rows.view(num_seeds, NUM_AGENTS, -1, self.slices.width).transpose(1, 2)
         return self.slices.join(rows)
 
@@ -197,7 +203,7 @@ class Learner:
         return torch.einsum("sabn,an->sab", rows, self._shares)
 
     def _values(self, critic: Tensor, inputs: Tensor, prb_count: Tensor) -> Tensor:
-        """Q of both agents, shape (seeds, 2, B): the mean over the slice's users of a value of each."""
+        """Q of both agents, shape (seeds, 2, B): the mean of the slice's user values."""
         return self._means(self._user_values(critic, inputs, prb_count))
 
     def state(self) -> dict[str, Any]:
@@ -231,9 +237,7 @@ def compose_rewards(
     return rows.squeeze(-1).transpose(1, 2)
 
 
-def _with_multiplier(
-    batch: Transitions, multipliers: NDArray[np.float64]
-) -> tuple[Tensor, Tensor]:
+def _with_multiplier(batch: Transitions, multipliers: NDArray[np.float64]) -> tuple[Tensor, Tensor]:
     """Features and next features of the batch with the multipliers now in force among them."""
     seen = multiplier_feature(multipliers)[:, None, :]
     for features in (batch.features, batch.next_features):

@@ -1,4 +1,4 @@
-"""The multiplier of the delay constraint: one proportional-integral step an episode, from that episode's cost."""
+"""The multiplier of the delay constraint: one proportional-integral step an episode."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def step_multiplier(
 ) -> Multiplier:
     """Dual step: I <- clip(I - eta y, 0, max), lambda = clip(I - kappa y, 0, max).
 
-    The integral stays within the range of the multiplier, so that it does not wind up at the cap; the proportional
-    part damps the oscillation of plain ascent (Stooke et al., ICML 2020).
+    The integral stays within the range of the multiplier, so that it does not wind up at the cap;
+    the proportional part damps the oscillation of plain ascent (Stooke et al., ICML 2020).
 
     Parameters
     ----------
@@ -58,8 +58,8 @@ def episode_constraint(
     Parameters
     ----------
     objective
-        Which constraint: ``measured`` gives (1 - chi) - late share of each user, ``surrogate`` the mean over all users
-        of the paper's y, the same for each.
+        Which constraint: ``measured`` gives (1 - chi) - late share of each user, ``surrogate`` the
+        mean over all users of the paper's y, the same for each.
     reliability
         chi.
     due_packets, late_packets
@@ -68,7 +68,9 @@ def episode_constraint(
         Mean of the slots' y, shape (..., R).
     """
     if objective.constraint == "measured":
-        share = np.divide(late_packets, due_packets, out=np.zeros_like(late_packets), where=due_packets > 0)
+        share = np.divide(
+            late_packets, due_packets, out=np.zeros_like(late_packets), where=due_packets > 0
+        )
         return (1.0 - reliability) - share
     mean = mean_constraint.mean(axis=-1, keepdims=True)
     return np.broadcast_to(mean, mean_constraint.shape).copy()

@@ -1,7 +1,7 @@
-"""Small networks applied to every user of a slice; the parameters of S networks lie stacked in one flat tensor.
+"""Small networks applied to every user of a slice, stacked in one flat parameter tensor.
 
-The networks of a stack are those of the seeds times two agents, entry 2 * seed + agent, with agent 0 = URLLC and
-agent 1 = eMBB. Slices of different size are padded to the larger one (`Slices`).
+The networks of a stack are those of the seeds times two agents, entry 2 * seed + agent, with agent
+0 = URLLC and agent 1 = eMBB. Slices of different size are padded to the larger one (`Slices`).
 """
 
 from __future__ import annotations
@@ -37,20 +37,18 @@ class Slices:
         return max(self.num_urllc, self.num_embb)
 
     def split(self, users: Tensor) -> Tensor:
-        """Rows of the slices, shape (..., 2, n, F), zero where there is no user, from shape (..., U, F)."""
-        parts = users.split((self.num_urllc, self.num_embb), dim=-2)
+        """Form the rows of both slices, (..., 2, n, F) from (..., U, F); 0 where no user is."""
+        parts = users.split_with_sizes((self.num_urllc, self.num_embb), dim=-2)
         return torch.stack(
             [functional.pad(part, (0, 0, 0, self.width - part.shape[-2])) for part in parts], dim=-3
         )
 
     def join(self, rows: Tensor) -> Tensor:
         """Inverse of `split` for one number per user: shape (..., U) from (..., 2, n)."""
-        return torch.cat(
-            (rows[..., 0, : self.num_urllc], rows[..., 1, : self.num_embb]), dim=-1
-        )
+        return torch.cat((rows[..., 0, : self.num_urllc], rows[..., 1, : self.num_embb]), dim=-1)
 
     def shares(self) -> Tensor:
-        """1 / number of users of the slice, 0 where there is no user, shape (2, n): sums with it are means."""
+        """1 / users of the slice, 0 where no user is, shape (2, n): sums with it are means."""
         shares = torch.zeros(NUM_AGENTS, self.width)
         shares[0, : self.num_urllc] = 1.0 / self.num_urllc
         shares[1, : self.num_embb] = 1.0 / self.num_embb
@@ -58,7 +56,7 @@ class Slices:
 
 
 def network_inputs(features: Tensor, slices: Slices) -> Tensor:
-    """What the actors see, shape (seeds * 2, B * n, ACTOR_INPUTS), from features of shape (seeds, B, U, F)."""
+    """Form what the actors see, (seeds * 2, B * n, ACTOR_INPUTS), from (seeds, B, U, F)."""
     rows = slices.split(features)
     means = torch.einsum("sbanf,an->sbaf", rows, slices.shares())
     own_mean = means.unsqueeze(3).expand_as(rows)
@@ -68,7 +66,7 @@ def network_inputs(features: Tensor, slices: Slices) -> Tensor:
 
 
 def count_input(prb_count: Tensor, slices: Slices) -> Tensor:
-    """The critics' last input, shape (seeds * 2, B * n, 1), from PRB counts of shape (seeds, B, U)."""
+    """Form the critics' last input, (seeds * 2, B * n, 1), from PRB counts (seeds, B, U)."""
     rows = slices.split(prb_count.unsqueeze(-1)).transpose(1, 2) / NEED_SCALE
     return rows.reshape(NUM_AGENTS * prb_count.shape[0], -1, 1)
 
@@ -85,7 +83,7 @@ class Layers:
         return sum((rows + 1) * columns for rows, columns in pairwise(self.sizes))
 
     def initial(self, rng: np.random.Generator, *, zero_output: bool) -> NDArray[np.float32]:
-        """Parameters of one network, shape (P,): uniform within 1/sqrt(inputs); the last layer 0 if asked."""
+        """Draw one network, shape (P,): uniform within 1/sqrt(inputs); last layer 0 if asked."""
         blocks = []
         for place, (rows, columns) in enumerate(pairwise(self.sizes)):
             bound = rows**-0.5
@@ -95,12 +93,12 @@ class Layers:
         return np.concatenate(blocks).astype(np.float32)
 
     def forward(self, parameters: Tensor, inputs: Tensor) -> Tensor:
-        """Outputs of the stack, shape (S, N), from parameters (S, P) and inputs (S, N, first size)."""
+        """Evaluate the stack, shape (S, N), for parameters (S, P) and inputs (S, N, first size)."""
         stack = parameters.shape[0]
         sizes = [
             size for rows, columns in pairwise(self.sizes) for size in (columns, rows * columns)
         ]
-        parts = parameters.split(sizes, dim=1)
+        parts = parameters.split_with_sizes(sizes, dim=1)
         hidden = inputs
         for place, (rows, columns) in enumerate(pairwise(self.sizes)):
             bias = parts[2 * place].view(stack, 1, columns)

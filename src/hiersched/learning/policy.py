@@ -48,7 +48,8 @@ class Policy:
     weight_exponent
         c of w = exp(c a).
     multipliers
-        Multiplier of each URLLC user when training ended, shape (R,): what the policy observes from now on.
+        Multiplier of each URLLC user when training ended, shape (R,): what the policy observes from
+        now on.
     seed, scenario_sha256, feature_version
         Where the policy comes from.
     """
@@ -125,7 +126,7 @@ class Policy:
         )
 
     def for_users(self, num_urllc: int) -> Policy:
-        """The same policy for `num_urllc` URLLC users: each observes the mean of the multipliers."""
+        """Take the policy to `num_urllc` URLLC users: each observes the mean multiplier."""
         multipliers = np.full(num_urllc, self.multipliers.mean())
         return Policy(**{**vars(self), "multipliers": multipliers})
 
@@ -176,5 +177,5 @@ def rollout(
 
 def copy_slot(one: SlotRecord, whole: SlotRecord, slot: int) -> None:
     """Copy the only slot of `one` into slot `slot` of `whole`."""
-    for source, goal in zip(one, whole, strict=True):
-        goal[:, slot] = source[:, 0]
+    for name in SlotRecord._fields:
+        getattr(whole, name)[:, slot] = getattr(one, name)[:, 0]

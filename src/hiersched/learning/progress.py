@@ -24,8 +24,9 @@ class RoundSums:
         self._constraint = np.zeros((num_seeds, num_urllc))
         self._reward = np.zeros((2, num_seeds))
         self._backlog = np.zeros((2, num_seeds))
-        self._losses = np.zeros((2, num_seeds, 2))
-        self._updates = 0
+        self._critic_losses: list[NDArray[np.float32]] = []
+        self._actor_losses: list[NDArray[np.float32]] = []
+        self._none = np.full((num_seeds, 2), np.nan)
 
     def add(self, one: SlotRecord) -> None:
         """Add one slot of all environments."""
@@ -48,8 +49,9 @@ class RoundSums:
 
     def add_losses(self, losses: Losses) -> None:
         """Add one update."""
-        self._losses += losses.critic.numpy(), losses.actor.numpy()
-        self._updates += 1
+        self._critic_losses.append(losses.critic.numpy())
+        if losses.actor is not None:
+            self._actor_losses.append(losses.actor.numpy())
 
     def mean_constraint(self) -> NDArray[np.float64]:
         """Mean y over slots and environments, shape (seeds, R)."""
@@ -57,12 +59,17 @@ class RoundSums:
 
     def late_share(self) -> NDArray[np.float64]:
         """Late packets over due packets of the URLLC slice, shape (seeds,)."""
-        share: NDArray[np.float64] = self.late_packets.sum(1) / np.maximum(1.0, self.due_packets.sum(1))
+        share: NDArray[np.float64] = self.late_packets.sum(1) / np.maximum(
+            1.0, self.due_packets.sum(1)
+        )
         return share
 
     def columns(self) -> dict[str, NDArray[np.float64]]:
-        """Columns of the progress file, shape (seeds,) each; losses are NaN before the first update."""
-        losses = self._losses / self._updates if self._updates else np.full_like(self._losses, np.nan)
+        """Columns of the progress file, shape (seeds,) each; a loss without updates is NaN."""
+        critic, actor = (
+            np.mean(losses, axis=0) if losses else self._none
+            for losses in (self._critic_losses, self._actor_losses)
+        )
         reward, backlog = self._reward / self.slots, self._backlog / self.slots
         return {
             "reward_urllc": reward[0],
@@ -70,10 +77,10 @@ class RoundSums:
             "late_share": self.late_share(),
             "backlog_urllc_packets": backlog[0],
             "backlog_embb_packets": backlog[1],
-            "critic_loss_urllc": losses[0, :, 0],
-            "critic_loss_embb": losses[0, :, 1],
-            "actor_loss_urllc": losses[1, :, 0],
-            "actor_loss_embb": losses[1, :, 1],
+            "critic_loss_urllc": critic[:, 0],
+            "critic_loss_embb": critic[:, 1],
+            "actor_loss_urllc": actor[:, 0],
+            "actor_loss_embb": actor[:, 1],
         }
 
 

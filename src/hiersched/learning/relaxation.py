@@ -1,4 +1,4 @@
-"""How many PRBs a weight buys, as a smooth function: what carries the actor's gradient through the allocation."""
+"""PRBs that weights buy, smoothly: what carries the gradient through the allocation."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import torch
 from torch import Tensor
 
 
-def prb_shares(weights: Tensor, num_prb: int) -> Tensor:
-    """PRBs of every user under weighted proportional fairness, were PRBs divisible and rates equal.
+def prb_shares(weights: Tensor, num_prb: int, *, floor_slope: float = 0.0) -> Tensor:
+    """PRBs of every user under weighted proportional fairness, were PRBs divisible.
 
-    Maximises sum w_i log n_i subject to sum n_i = K and n_i >= 1: water-filling, n_i = max(1, w_i / mu).
+    Maximises sum w_i log n_i subject to sum n_i = K and n_i >= 1: water-filling,
+    n_i = max(1, w_i / mu).
 
     Parameters
     ----------
@@ -17,11 +18,14 @@ def prb_shares(weights: Tensor, num_prb: int) -> Tensor:
         Positive, shape (..., U).
     num_prb
         K, at least U.
+    floor_slope
+        A user held at 1 has no gradient, so an actor that starves it could never learn better.
+        This share of the gradient that all users would have without the floor is added.
 
     Returns
     -------
     shares
-        n_i, shape (..., U), differentiable; a user held at 1 gets no gradient.
+        n_i, shape (..., U), differentiable.
     """
     num_users = weights.shape[-1]
     if num_users == num_prb:
@@ -34,4 +38,10 @@ def prb_shares(weights: Tensor, num_prb: int) -> Tensor:
         above = weights > level.gather(-1, num_above - 1)
         left = num_prb - num_users + num_above
     filled = torch.where(above, weights, 0.0)
-    return torch.where(above, filled * (left / filled.sum(-1, keepdim=True)), 1.0)
+    shares = torch.where(above, filled * (left / filled.sum(-1, keepdim=True)), 1.0)
+    if floor_slope == 0.0 or not weights.requires_grad:
+        return shares
+    held = shares.detach()
+    free = held * (weights / weights.detach())
+    free = free * (num_prb / free.sum(-1, keepdim=True))
+    return shares + floor_slope * (free - free.detach())

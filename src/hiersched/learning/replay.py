@@ -1,7 +1,7 @@
 """The replay buffer of both agents, in whole episodes, for all seeds side by side.
 
-It stores what happened (features, PRB counts, the parts of the rewards and the constraint), never a reward: the
-multiplier moves, and a reward that contained an old one would mislead.
+It stores what happened (features, PRB counts, the parts of the rewards and the constraint), never a
+reward: the multiplier moves, and a reward that contained an old one would mislead.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ class ReplayBuffer:
         num_urllc: int,
     ) -> None:
         place = (num_seeds, num_rounds, num_slots, num_envs)
-        # One slot more than the transitions: features of slot t + 1 are the next ones of slot t, the final ones included.
+        # One slot more than transitions: the features of t + 1 are the next ones of t.
         self._features = np.zeros(
             (num_seeds, num_rounds, num_slots + 1, num_envs, num_users, NUM_FEATURES), np.float32
         )
@@ -69,7 +69,7 @@ class ReplayBuffer:
         return (full * self._num_slots + self._slot) * self._num_envs
 
     def start_round(self, features: NDArray[np.float32]) -> None:
-        """Begin a round with the first features, shape (seeds, envs, U, F); it takes the oldest round's place."""
+        """Begin a round with features (seeds, envs, U, F), in place of the oldest one."""
         self._started += 1
         self._slot = 0
         self._features[:, self._row, 0] = features
@@ -81,7 +81,7 @@ class ReplayBuffer:
         constraint: NDArray[np.float64],
         next_features: NDArray[np.float32],
     ) -> None:
-        """Add one slot of all environments; leading axes (seeds, envs), fields as in `Transitions`."""
+        """Add a slot of all environments; leading axes (seeds, envs), see `Transitions`."""
         row, slot = self._row, self._slot
         self._prb_count[:, row, slot] = prb_count
         self._base_reward[:, row, slot] = base_reward

@@ -1,4 +1,4 @@
-"""Training of all seeds side by side: Algorithm 1 of the paper with its open ends tied (docs/paper_notes.md, 5)."""
+"""Training of all seeds side by side: Algorithm 1 of the paper (docs/paper_notes.md, 5)."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ OnSlots = Callable[[int, Blocks], None]
 def user_rewards(
     one: SlotRecord, after: NDArray[np.float64], scenario: Scenario
 ) -> NDArray[np.float64]:
-    """Each user's share of its slice's reward without the constraint: -(drift + V penalty) / scale, shape (E, U).
+    """Share a slice's reward among its users: -(drift + V penalty) / scale, shape (E, U).
 
     Their mean over a slice's users is the reward in the record, up to the priced constraint.
 
@@ -52,17 +52,17 @@ def user_rewards(
 class Trainer:
     """Everything that training changes; `train` runs it.
 
-    A round is one episode in every environment of every seed. Worlds of episode j of seed s: ``world_key("train", s,
-    j)``. All random numbers of a seed come from its own generators, so a seed learns the same whichever others are
-    trained beside it, up to rounding.
+    A round is one episode in every environment of every seed. Worlds of episode j of seed s:
+    ``world_key("train", s, j)``. All random numbers of a seed come from its own generators, so a
+    seed learns the same whichever others are trained beside it, up to rounding.
     """
 
     def __init__(self, scenario: Scenario, gains: Gains) -> None:
         learning, users = scenario.learning, scenario.users
         if learning.episodes % learning.num_envs:
             raise ValueError(
-                f"learning.episodes = {learning.episodes}: must be a multiple of learning.num_envs = "
-                f"{learning.num_envs}"
+                f"learning.episodes = {learning.episodes}: must be a multiple of "
+                f"learning.num_envs = {learning.num_envs}"
             )
         self.scenario = scenario
         self.num_seeds = len(learning.seeds)
@@ -100,7 +100,7 @@ class Trainer:
         return values.reshape(self.num_seeds, -1, *values.shape[1:])
 
     def _explore(self, actions: NDArray[np.float32], done: float) -> NDArray[np.float32]:
-        """Gaussian noise of each seed's own generator; its spread falls linearly with the share of training done."""
+        """Add noise of each seed's own generator; its spread falls linearly with training."""
         learning = self.scenario.learning
         std = learning.exploration_std + done * (
             learning.exploration_final_std - learning.exploration_std
@@ -161,7 +161,7 @@ class Trainer:
         self.multiplier = step_multiplier(self.multiplier, constraint, objective)
 
     def policies(self) -> tuple[Policy, ...]:
-        """The policies as they stand, one a seed."""
+        """Return the policies as they stand, one a seed."""
         learning = self.scenario.learning
         actors = self.learner.actor.numpy().reshape(self.num_seeds, 2, -1)
         sha256 = scenario_sha256(self.scenario)
@@ -202,7 +202,7 @@ class Trainer:
 
 
 class _EpisodeBlocks:
-    """Collects a round's slots and hands every episode to a caller, seed by seed, episode by episode."""
+    """Collects a round's slots and hands them to a caller, episode by episode."""
 
     def __init__(self, trainer: Trainer, on_slots: OnSlots | None) -> None:
         self._on_slots = on_slots
@@ -240,13 +240,14 @@ def train(
     gains
         Gain schedule of the robots.
     on_slots
-        Is called after every episode with the index of the seed and the episode's record, arrays (T, ...) by field;
-        each seed's episodes come in order. The arrays are overwritten by the next round.
+        Is called after every episode with the index of the seed and the episode's record, arrays
+        (T, ...) by field; each seed's episodes come in order. The arrays are overwritten by the
+        next round.
     progress
         CSV file with one row a seed and round; None writes none.
     checkpoint
-        File to resume from if it exists, rewritten after every round and removed at the end; None keeps none. Slots
-        from before a resumption are not reported again.
+        File to resume from if it exists, rewritten after every round and removed at the end; None
+        keeps none. Slots from before a resumption are not reported again.
     show
         Whether to show progress on the terminal.
 
@@ -258,7 +259,8 @@ def train(
     Raises
     ------
     ValueError
-        If the episodes are not a multiple of the environments, or the checkpoint is of another training.
+        If the episodes are not a multiple of the environments, or the checkpoint is of another
+        training.
     """
     learning = scenario.learning
     sha256 = scenario_sha256(scenario)
@@ -272,15 +274,18 @@ def train(
     blocks = _EpisodeBlocks(trainer, on_slots)
     round_slots = learning.num_envs * learning.slots_per_episode
     began = time.perf_counter() - before
-    with single_thread(), tqdm(
-        total=trainer.num_seeds * trainer.num_rounds * round_slots,
-        initial=trainer.num_seeds * trainer.round * round_slots,
-        desc="training",
-        unit=" slots",
-        unit_scale=True,
-        mininterval=1.0,
-        disable=not show,
-    ) as bar:
+    with (
+        single_thread(),
+        tqdm(
+            total=trainer.num_seeds * trainer.num_rounds * round_slots,
+            initial=trainer.num_seeds * trainer.round * round_slots,
+            desc="training",
+            unit=" slots",
+            unit_scale=True,
+            mininterval=1.0,
+            disable=not show,
+        ) as bar,
+    ):
 
         def on_slot(one: SlotRecord, slot: int) -> None:
             blocks.add(one, slot)

@@ -157,12 +157,15 @@ class Learning:
     batch_size: Count
     replay_capacity: Count
     warmup_slots: Annotated[int, Field(ge=0)]
+    critic_warmup_updates: Annotated[int, Field(ge=0)]
     actor_lr: Positive
     critic_lr: Positive
     target_rate: Annotated[float, Field(gt=0, le=1)]
     exploration_std: NonNegative
     exploration_final_std: NonNegative
     gradient_clip: Positive
+    floor_slope: Annotated[float, Field(ge=0, le=1)]
+    action_penalty: NonNegative
 
 
 @dataclass(frozen=True, kw_only=True)

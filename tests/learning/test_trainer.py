@@ -1,0 +1,156 @@
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hiersched.learning.checkpoint import CheckpointError
+from hiersched.learning.trainer import Trainer, train, user_rewards
+from hiersched.randomness import world_key
+from hiersched.simulator import Simulator
+
+ENVS, SLOTS = 2, 6
+
+
+@pytest.fixture(scope="module")
+def tiny(scenario):
+    learning = replace(
+        scenario.learning,
+        seeds=(1, 2),
+        episodes=3 * ENVS,
+        num_envs=ENVS,
+        slots_per_episode=SLOTS,
+        warmup_slots=2,
+        critic_warmup_updates=2,
+        batch_size=4,
+        replay_capacity=2 * ENVS * SLOTS,
+        hidden=(8,),
+    )
+    objective = replace(scenario.objective, constraint="measured", multiplier_step=20.0)
+    return replace(scenario, learning=learning, objective=objective)
+
+
+def assert_same(one, other):
+    for a, b in zip(one, other, strict=True):
+        for name, value in vars(a).items():
+            np.testing.assert_array_equal(value, getattr(b, name), err_msg=name)
+
+
+def test_the_same_seeds_give_the_same_bits(tiny, gains):
+    first, second = train(tiny, gains, show=False), train(tiny, gains, show=False)
+    assert_same(first, second)
+    assert not np.array_equal(first[0].parameters, first[1].parameters)
+    assert np.abs(first[0].parameters[:, -8:]).max() > 0.0
+
+
+def test_an_interrupted_training_ends_with_the_same_bits(tiny, gains, tmp_path):
+    whole = train(tiny, gains, progress=tmp_path / "whole.csv", show=False)
+    checkpoint = tmp_path / "checkpoint.pt"
+    calls = []
+
+    def interrupt(seed, block):
+        calls.append(seed)
+        if len(calls) == 2 * 2 * ENVS:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(tiny, gains, on_slots=interrupt, checkpoint=checkpoint, show=False)
+    assert checkpoint.exists()
+    resumed = train(tiny, gains, progress=tmp_path / "parts.csv", checkpoint=checkpoint, show=False)
+    assert_same(whole, resumed)
+    assert not checkpoint.exists()
+
+    def without_time(path):
+        return [line.rsplit(",", 1)[0] for line in path.read_text().splitlines()]
+
+    assert without_time(tmp_path / "whole.csv") == without_time(tmp_path / "parts.csv")
+
+
+def test_a_checkpoint_of_another_training_is_refused(tiny, gains, tmp_path):
+    checkpoint = tmp_path / "checkpoint.pt"
+
+    def interrupt(seed, block):
+        if checkpoint.exists():
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(tiny, gains, on_slots=interrupt, checkpoint=checkpoint, show=False)
+    other = replace(tiny, learning=replace(tiny.learning, discount=0.5))
+    with pytest.raises(CheckpointError, match="scenario_sha256"):
+        train(other, gains, checkpoint=checkpoint, show=False)
+
+
+def test_a_seed_learns_the_same_alone_up_to_rounding(tiny, gains):
+    both = train(tiny, gains, show=False)
+    alone = replace(tiny, learning=replace(tiny.learning, seeds=(2,)))
+    np.testing.assert_allclose(
+        train(alone, gains, show=False)[0].parameters, both[1].parameters, atol=1e-4
+    )
+
+
+def test_every_episode_is_reported_and_can_be_run_again(tiny, gains):
+    """The logged weights, replayed in the episode's world, give the logged slots."""
+    seen = {0: [], 1: []}
+    train(
+        tiny,
+        gains,
+        on_slots=lambda seed, block: seen[seed].append({k: v.copy() for k, v in block.items()}),
+        show=False,
+    )
+    assert [len(blocks) for blocks in seen.values()] == [3 * ENVS, 3 * ENVS]
+    block = seen[1][3]
+    simulator = Simulator(tiny, gains, np.array([world_key("train", 2, 3)], np.uint64), SLOTS)
+    for slot in range(SLOTS):
+        record = simulator.run(
+            "pf",
+            1,
+            weights=block["weight"][slot][None].astype(np.float64),
+            multipliers=block["multiplier"][slot][None],
+        )
+        for name, value in block.items():
+            np.testing.assert_array_equal(value[slot], getattr(record, name)[0, 0], err_msg=name)
+    assert not (block["weight"] == 1.0).all()
+
+
+def test_the_progress_file_says_what_the_slots_say(tiny, gains, tmp_path):
+    blocks = {0: [], 1: []}
+    path = tmp_path / "progress.csv"
+    train(
+        tiny,
+        gains,
+        progress=path,
+        on_slots=lambda seed, block: blocks[seed].append({k: v.copy() for k, v in block.items()}),
+        show=False,
+    )
+    with path.open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["seed"], row["episode"]) for row in rows] == [
+        (str(seed), str(ENVS * (k + 1))) for k in range(3) for seed in (1, 2)
+    ]
+    for place, row in enumerate(rows):
+        part = blocks[place % 2][ENVS * (place // 2) : ENVS * (place // 2 + 1)]
+        late = sum(block["late_packets"][:, :3].sum() for block in part)
+        due = sum(block["due_packets"][:, :3].sum() for block in part)
+        assert float(row["late_share"]) == pytest.approx(late / max(1, due))
+        for agent in ("urllc", "embb"):
+            mean = np.mean([block[f"reward_{agent}"] for block in part])
+            assert float(row[f"reward_{agent}"]) == pytest.approx(mean)
+
+
+def test_user_rewards_have_the_records_reward_as_their_mean(tiny, gains):
+    trainer = Trainer(tiny, gains)
+    loop = trainer.loop
+    rng = np.random.default_rng(1)
+    for _ in range(SLOTS):
+        loop.step(rng.uniform(-1, 1, (2 * ENVS, 5)))
+        shares = user_rewards(loop.record, loop.simulator.state.backlog_packets, tiny)
+        np.testing.assert_allclose(shares[:, :3].mean(1), loop.record.reward_urllc[:, 0], rtol=1e-9)
+        np.testing.assert_allclose(shares[:, 3:].mean(1), loop.record.reward_embb[:, 0], rtol=1e-9)
+
+
+def test_rounds_that_are_not_whole_are_refused(tiny, gains):
+    odd = replace(tiny, learning=replace(tiny.learning, episodes=5))
+    with pytest.raises(ValueError, match=r"learning\.episodes = 5"):
+        train(odd, gains, show=False)
