@@ -28,8 +28,9 @@ def poisson_quantile(uniform: float, mean: float) -> int:
     while cumulative < uniform:
         k += 1
         term *= mean * _RECIPROCAL[k]
-        if term < 1e-320 and k > mean:
-            # Far in the tail the sum has rounded below the uniform: no later term can change it.
+        if term < 1e-17 and k > mean:
+            # Far in the tail the sum has rounded below the uniform, and no later term changes a sum
+            # close to 1.
             break
         cumulative += term
     return k
