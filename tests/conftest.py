@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 # Before NumPy loads: the bits of a matrix product depend on the number of threads.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
 
+import numpy as np  # noqa: E402
 import pytest  # noqa: E402
 from hypothesis import HealthCheck, settings  # noqa: E402
+
+if TYPE_CHECKING:
+    from hiersched.scenario import Scenario
+    from hiersched.simulator.gains import LoopGains
 
 # Compiling a Numba kernel takes seconds on its first call, so no deadline;
 # derandomised, so that a run that passes here passes everywhere.
@@ -29,3 +36,31 @@ settings.load_profile("hiersched")
 def project_root() -> Path:
     """The root folder of the checkout."""
     return Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def smoke_scenario(project_root: Path) -> Scenario:
+    """The small scenario: 4 URLLC and 4 eMBB users, 10 PRBs."""
+    from hiersched.scenario import load_scenario
+
+    config = project_root / "config"
+    return load_scenario(config / "scenarios" / "smoke.yaml", defaults=config / "defaults.yaml")
+
+
+@pytest.fixture(scope="session")
+def nominal_gains() -> Callable[[Scenario], LoopGains]:
+    """The nominal gain at every delay, for a scenario's sampling interval and weight."""
+    from hiersched.simulator.gains import LoopGains, plant_of
+
+    made: dict[object, LoopGains] = {}
+
+    def gains(scenario: Scenario) -> LoopGains:
+        if scenario.control not in made:
+            K = plant_of(scenario).nominal_gain
+            network = np.repeat(K[None], scenario.max_delay_steps + 1, axis=0)
+            made[scenario.control] = LoopGains(
+                local_gains=np.zeros_like(network), network_gains=network
+            )
+        return made[scenario.control]
+
+    return gains
