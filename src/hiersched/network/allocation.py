@@ -47,6 +47,7 @@ class AllocationScratch(NamedTuple):
     order: NDArray[np.int64]
     gain: NDArray[np.float64]
     ratio: NDArray[np.float32]
+    share: NDArray[np.float32]
     log_rate: NDArray[np.float32]
 
 
@@ -82,6 +83,7 @@ def allocation_scratch(num_users: int, num_prb: int) -> AllocationScratch:
         order=np.zeros(num_users, np.int64),
         gain=np.zeros(num_users * num_prb),
         ratio=np.zeros(num_users * num_prb, np.float32),
+        share=np.zeros(num_users, np.float32),
         log_rate=np.zeros((num_users, num_prb), np.float32),
     )
 
@@ -170,12 +172,12 @@ def assign_one_each(scratch: AllocationScratch) -> None:
 
 
 @kernel(fastmath=_NO_NAN)
-def _subtract_least(row: NDArray[np.float64], count: int) -> None:
-    least = row[0]
-    for k in range(count):
-        least = min(least, row[k])
-    for k in range(count):
-        row[k] -= least
+def _make_non_negative(cost: NDArray[np.float64]) -> None:
+    least = cost[0]
+    for i in range(cost.shape[0]):
+        least = min(least, cost[i])
+    for i in range(cost.shape[0]):
+        cost[i] -= least
 
 
 @kernel()
@@ -187,7 +189,7 @@ def _first_costs(
     log_rate: NDArray[np.float32],
     cost: NDArray[np.float64],
 ) -> None:
-    """Cost of each PRB as a user's only one: the utility lost against the user's best."""
+    """Cost of each PRB as a user's only one: the utility lost against the greatest of all."""
     num_users, num_prb = rate.shape
     if utility == UTILITY_LOG:
         # One flat loop: rows are too short for full vectors.
@@ -197,19 +199,19 @@ def _first_costs(
             flat_log[i] = ln_f32(flat[i])
     for user in range(num_users):
         row = cost[user]
-        rates = rate[user]
         w = weight[user]
         if utility == UTILITY_LOG:
             logs = log_rate[user]
             for k in range(num_prb):
                 row[k] = -w * np.float64(logs[k])
         elif utility == UTILITY_LINEAR:
+            rates = rate[user]
             for k in range(num_prb):
                 row[k] = -w * np.float64(rates[k])
         else:
             for k in range(num_prb):
-                row[k] = user_lagrangian(terms, user, np.float64(rates[k]))
-        _subtract_least(row, num_prb)
+                row[k] = user_lagrangian(terms, user, np.float64(rate[user, k]))
+    _make_non_negative(cost.reshape(-1))
 
 
 @njit(inline="always")
@@ -223,7 +225,7 @@ def _marginal(
 ) -> float:
     """Gain in a user's utility by one more PRB of the given rate."""
     if utility == UTILITY_LOG:
-        return weight * np.float64(ln_f32(F32(1.0) + rate / F32(have)))
+        return weight * np.float64(ln_f32(F32(1.0) + rate * (F32(1.0) / F32(have))))
     if utility == UTILITY_LINEAR:
         return weight * np.float64(rate)
     after = user_lagrangian(terms, user, have + np.float64(rate))
@@ -286,10 +288,17 @@ def allocate_by_utility(
     free_prb = scratch.free_prb
     if utility == UTILITY_LOG:
         ratio = scratch.ratio
+        share = scratch.share
+        for user in range(num_users):
+            share[user] = F32(1.0) / F32(have[user])
         for i in range(num_free):
             k = free_prb[i]
             for user in range(num_users):
-                ratio[i * num_users + user] = F32(1.0) + rate[user, k] / F32(have[user])
+                ratio[i * num_users + user] = rate[user, k]
+        for i in range(num_free):
+            row = ratio[i * num_users : (i + 1) * num_users]
+            for user in range(num_users):
+                row[user] = F32(1.0) + row[user] * share[user]
         for i in range(num_free * num_users):
             gain[i] = np.float64(ln_f32(ratio[i]))
         for i in range(num_free):
