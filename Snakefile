@@ -19,8 +19,11 @@ rule all:
     default_target: True
     input:
         [f"{folder(s)}/{paths.SCENARIO}" for s in SCENARIOS],
+        [name for s in SCENARIOS for name in inside(s, paths.all_logs(s))],
         [f"{folder(s)}/figures/{name}.svg" for s in SCENARIOS for name in paths.FIGURES],
         [f"{folder(s)}/tables/{name}.csv" for s in SCENARIOS for name in paths.TABLES],
+    message:
+        "All figures and tables are there"
 
 
 include: "workflow/rules/prepare.smk"

@@ -1,10 +1,11 @@
 # What all rules share: the scenarios, checked before anything runs, and where files lie.
 
-import hashlib
+import shlex
 import sys
 from pathlib import Path
 
 from hiersched.runs import paths, spec
+from hiersched.runs.fingerprint import KERNEL_MODULE, code_fingerprint
 from hiersched.runs.variants import (
     CLASSICAL_GROUP,
     GROUPS,
@@ -14,7 +15,14 @@ from hiersched.runs.variants import (
     gain_designs,
     group_policies,
 )
-from hiersched.scenario import ScenarioError, load_scenario, parameter_notes
+from hiersched.scenario import (
+    ScenarioError,
+    find_scenario,
+    load_scenario,
+    parameter_notes,
+)
+
+SOURCES = {}  # name of a scenario -> its file
 
 
 def load_scenarios():
@@ -34,23 +42,18 @@ def load_scenarios():
         if scenario.name in scenarios:
             raise ScenarioError(f"--config scenarios: {scenario.name} stands twice")
         scenarios[scenario.name] = scenario
-    return list(scenarios.values()), [str(name) for name in names]
-
-
-def short_hash(text):
-    return hashlib.sha256(text.encode()).hexdigest()[:16]
+        SOURCES[scenario.name] = find_scenario(str(name))
+    return list(scenarios.values())
 
 
 try:
-    SCENARIOS, SOURCES = load_scenarios()
+    SCENARIOS = load_scenarios()
 except ScenarioError as error:
     sys.exit(f"error: {error}")
 
 BY_NAME = {scenario.name: scenario for scenario in SCENARIOS}
-SOURCE_OF = dict(zip(BY_NAME, SOURCES, strict=True))
 NOTES = "\n".join(map(str, parameter_notes()))
-KERNELS_SPEC = spec.stage_spec("kernels", {}, Path("workflow/scripts/kernels.py"))
-KERNELS = f"results/kernels/{short_hash(KERNELS_SPEC)}.txt"
+KERNELS = f"results/.kernels/{code_fingerprint(KERNEL_MODULE)[:16]}.txt"
 
 
 wildcard_constraints:
@@ -86,12 +89,10 @@ def weights(scenario, group):
     return inside(scenario, paths.policy_files(scenario)) if group == LEARNED_GROUP else []
 
 
-def checkpoints(scenario):
-    """Folder for the checkpoints of one training: other code or another scenario never meets them."""
-    training = spec.stage_spec("train", spec.scenario_values(scenario), script("train"))
-    return f"{folder(scenario)}/checkpoints/{short_hash(training)}"
-
-
-def resolved(scenario):
-    # A new scenario file is no reason to run: each rule says in `spec` what it depends on.
-    return ancient(f"{folder(scenario)}/{paths.SCENARIO}")
+# No job reads the resolved scenario that `rule resolve` writes: as an input it would make every job run whenever any
+# value changes, and as `ancient` input worse: Snakemake does not look at the parameters of a job whose ancient input
+# is about to be made. Jobs read the scenario file; if it is edited while they run, the next run repeats them.
+def arguments(name, scenario, *more):
+    """Script and arguments of a job."""
+    given = ["--scenario", str(SOURCES[scenario.name]), "--results", folder(scenario), *more]
+    return " ".join([str(script(name)), *(shlex.quote(word) for word in given)])

@@ -14,18 +14,17 @@ rule resolve:
         "results/{scenario}/benchmarks/resolve.tsv"
     threads: 1
     params:
-        source=lambda w: SOURCE_OF[w.scenario],
         spec=lambda w: spec.stage_spec(
             "resolve", spec.scenario_values(BY_NAME[w.scenario]), script("resolve")
         ),
+        args=lambda w: arguments("resolve", BY_NAME[w.scenario]),
+    message:
+        "Writing the resolved scenario {wildcards.scenario}"
     shell:
-        "{sys.executable} workflow/scripts/resolve.py --scenario {params.source:q}"
-        " --output {output} > {log} 2>&1"
+        "{sys.executable} {params.args} > {log} 2>&1"
 
 
 rule gains:
-    input:
-        scenario=ancient(f"results/{{scenario}}/{paths.SCENARIO}"),
     output:
         ensure("results/{scenario}/gains/{design}.json", non_empty=True),
     log:
@@ -37,13 +36,15 @@ rule gains:
         spec=lambda w: spec.stage_spec(
             "gains", spec.gains_values(BY_NAME[w.scenario], w.design), script("gains")
         ),
+        args=lambda w: arguments("gains", BY_NAME[w.scenario], "--design", w.design),
+    message:
+        "Designing gains: {wildcards.scenario}, {wildcards.design}"
     shell:
-        "{sys.executable} workflow/scripts/gains.py --scenario {input.scenario}"
-        " --design {wildcards.design} --output {output} > {log} 2>&1"
+        "{sys.executable} {params.args} > {log} 2>&1"
 
 
 # Compiling the slot loop takes longer than most jobs run: once, for all of them. The file is named after the code,
-# so new code is compiled anew; that alone is no reason for a job to run, its own `spec` says whether it is.
+# so new code is compiled anew; whatever needs the loop has to run then in any case.
 rule kernels:
     output:
         ensure(KERNELS, non_empty=True),
@@ -53,7 +54,7 @@ rule kernels:
         f"{KERNELS}.tsv"
     priority: 100
     threads: 1
-    params:
-        spec=KERNELS_SPEC,
+    message:
+        "Compiling the slot loop"
     shell:
         "{sys.executable} workflow/scripts/kernels.py --output {output} > {log} 2>&1"

@@ -8,8 +8,7 @@ for s in SCENARIOS:
             name:
                 f"evaluate_{group}_{s.name}"
             input:
-                scenario=resolved(s),
-                kernels=ancient(KERNELS),
+                kernels=KERNELS,
                 gains=f"{folder(s)}/{paths.gain_file('schedule')}",
                 policies=weights(s, group),
             output:
@@ -25,9 +24,11 @@ for s in SCENARIOS:
                     spec.evaluate_values(s, group),
                     script(f"evaluate_{group}"),
                 ),
-                args=f"{script(f'evaluate_{group}')} --results {folder(s)}",
+                args=arguments(f"evaluate_{group}", s),
+            message:
+                f"Evaluating policies of {s.name}: {group}"
             shell:
-                "{sys.executable} {params.args} --scenario {input.scenario} > {log} 2>&1"
+                "{sys.executable} {params.args} > {log} 2>&1"
 
     for axis in SWEPT_KEYS:
         for group in groups_of(s.sweeps.policies):
@@ -36,8 +37,7 @@ for s in SCENARIOS:
                 name:
                     f"sweep_{axis}_{group}_{s.name}"
                 input:
-                    scenario=resolved(s),
-                    kernels=ancient(KERNELS),
+                    kernels=KERNELS,
                     gains=inside(s, paths.swept_gain_files(s, axis)),
                     policies=weights(s, group),
                 output:
@@ -53,16 +53,17 @@ for s in SCENARIOS:
                         spec.sweep_values(s, axis, group),
                         script(f"sweep_{group}"),
                     ),
-                    args=f"{script(f'sweep_{group}')} --axis {axis} --results {folder(s)}",
+                    args=arguments(f"sweep_{group}", s, "--axis", axis),
+                message:
+                    f"Sweeping {axis} of {s.name}: {group}"
                 shell:
-                    "{sys.executable} {params.args} --scenario {input.scenario} > {log} 2>&1"
+                    "{sys.executable} {params.args} > {log} 2>&1"
 
     rule:
         name:
             f"gain_study_{s.name}"
         input:
-            scenario=resolved(s),
-            kernels=ancient(KERNELS),
+            kernels=KERNELS,
             gains=inside(s, paths.study_gain_files(s)),
         output:
             whole(inside(s, paths.gain_study_logs(s))),
@@ -73,6 +74,8 @@ for s in SCENARIOS:
         threads: 1
         params:
             spec=spec.stage_spec("gain_study", spec.gain_study_values(s), script("gain_study")),
-            args=f"{script('gain_study')} --results {folder(s)}",
+            args=arguments("gain_study", s),
+        message:
+            f"Running the gain study of {s.name}"
         shell:
-            "{sys.executable} {params.args} --scenario {input.scenario} > {log} 2>&1"
+            "{sys.executable} {params.args} > {log} 2>&1"

@@ -1,26 +1,9 @@
 # Tables and figures, from the logs alone.
 
 
-def all_logs(wildcards):
-    s = BY_NAME[wildcards.scenario]
-    names = [
-        *(name for group in GROUPS for name in paths.evaluation_logs(s, group)),
-        *(
-            name
-            for axis in SWEPT_KEYS
-            for group in GROUPS
-            for name in paths.sweep_logs(s, axis, group)
-        ),
-        *paths.gain_study_logs(s),
-        *paths.training_logs(s),
-    ]
-    return inside(s, names)
-
-
 rule aggregate:
     input:
-        logs=all_logs,
-        scenario=ancient(f"results/{{scenario}}/{paths.SCENARIO}"),
+        logs=lambda w: inside(BY_NAME[w.scenario], paths.all_logs(BY_NAME[w.scenario])),
     output:
         csv=[
             report(
@@ -45,15 +28,16 @@ rule aggregate:
         spec=lambda w: spec.stage_spec(
             "aggregate", spec.scenario_values(BY_NAME[w.scenario], NOTES), script("aggregate")
         ),
+        args=lambda w: arguments("aggregate", BY_NAME[w.scenario]),
+    message:
+        "Writing the tables of {wildcards.scenario}"
     shell:
-        "{sys.executable} workflow/scripts/aggregate.py --scenario {input.scenario}"
-        " --results results/{wildcards.scenario} > {log} 2>&1"
+        "{sys.executable} {params.args} > {log} 2>&1"
 
 
 rule figures:
     input:
-        logs=all_logs,
-        scenario=ancient(f"results/{{scenario}}/{paths.SCENARIO}"),
+        logs=lambda w: inside(BY_NAME[w.scenario], paths.all_logs(BY_NAME[w.scenario])),
     output:
         svg=[
             report(
@@ -78,6 +62,8 @@ rule figures:
         spec=lambda w: spec.stage_spec(
             "figures", spec.scenario_values(BY_NAME[w.scenario]), script("figures")
         ),
+        args=lambda w: arguments("figures", BY_NAME[w.scenario]),
+    message:
+        "Drawing the figures of {wildcards.scenario}"
     shell:
-        "{sys.executable} workflow/scripts/figures.py --scenario {input.scenario}"
-        " --results results/{wildcards.scenario} > {log} 2>&1"
+        "{sys.executable} {params.args} > {log} 2>&1"

@@ -6,8 +6,7 @@ for s in SCENARIOS:
         name:
             f"train_{s.name}"
         input:
-            scenario=resolved(s),
-            kernels=ancient(KERNELS),
+            kernels=KERNELS,
             gains=f"{folder(s)}/{paths.gain_file('schedule')}",
         output:
             policies=whole(inside(s, paths.policy_files(s))),
@@ -20,6 +19,8 @@ for s in SCENARIOS:
         threads: 1
         params:
             spec=spec.stage_spec("train", spec.train_values(s), script("train")),
-            args=f"{script('train')} --results {folder(s)} --checkpoints {checkpoints(s)}",
+            args=arguments("train", s),
+        message:
+            f"Training all seeds of {s.name}"
         shell:
-            "{sys.executable} -u {params.args} --scenario {input.scenario} 2>&1 | tee {log}"
+            "{sys.executable} -u {params.args} 2>&1 | tee {log}"

@@ -4,6 +4,7 @@ import argparse
 import logging
 from pathlib import Path
 
+from hiersched.runs import paths
 from hiersched.runs.gains import design_gains
 from hiersched.scenario import load_scenario
 
@@ -14,10 +15,11 @@ def main() -> None:
     parser.add_argument(
         "--design", required=True, help="schedule, schedule_<h> or schedule_<method>"
     )
-    parser.add_argument("--output", type=Path, required=True)
+    parser.add_argument("--results", type=Path, required=True)
     args = parser.parse_args()
     logging.basicConfig(level=logging.INFO, format="%(message)s")
-    schedule = design_gains(load_scenario(args.scenario), args.design, args.output)
+    output = args.results / paths.gain_file(args.design)
+    schedule = design_gains(load_scenario(args.scenario), args.design, output)
     for delay, (status, deviation) in enumerate(
         zip(schedule.status, schedule.deviation, strict=True)
     ):

@@ -13,8 +13,11 @@ from pathlib import Path
 
 PACKAGE = "hiersched"
 PACKAGE_FOLDER = Path(__file__).resolve().parents[1]
+KERNEL_MODULE = PACKAGE_FOLDER / "simulator" / "kernel.py"
+"""The module with the slot loop; with what it imports, it is all that has to be compiled."""
 
 
+@cache
 def code_fingerprint(script: Path, package_folder: Path = PACKAGE_FOLDER) -> str:
     """SHA-256 of the code that a script can reach.
 
@@ -55,10 +58,11 @@ def reachable_modules(script: Path, package_folder: Path = PACKAGE_FOLDER) -> di
     return dict(sorted(found.items()))
 
 
-def _imported_names(path: Path, package: str) -> list[str]:
+@cache
+def _imported_names(path: Path, package: str) -> tuple[str, ...]:
     """Dotted names that a file imports from the package; the last part may be no module."""
     names = []
-    for node in ast.walk(_tree(path)):
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), filename=str(path))):
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -68,7 +72,7 @@ def _imported_names(path: Path, package: str) -> list[str]:
                 base = ".".join(parts[: len(parts) - node.level + 1])
                 module = f"{base}.{module}".rstrip(".")
             names += [module, *(f"{module}.{alias.name}" for alias in node.names)]
-    return [name for name in names if name.split(".")[0] == PACKAGE]
+    return tuple(name for name in names if name.split(".")[0] == PACKAGE)
 
 
 def _with_parents(name: str) -> list[str]:
@@ -100,20 +104,15 @@ def _data_files(modules: dict[str, Path]) -> list[Path]:
 
 
 @cache
-def _tree(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
-
-
-@cache
 def _statements(path: Path) -> str:
-    """Return the statements of a file without comments, docstrings and positions."""
+    """Hash the statements of a file without comments, docstrings and positions."""
     tree = ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
     for node in ast.walk(tree):
         for name in ("body", "orelse", "finalbody"):
             statements = getattr(node, name, None)
             if isinstance(statements, list):
                 setattr(node, name, [item for item in statements if not _is_text(item)])
-    return ast.dump(tree)
+    return hashlib.sha256(ast.dump(tree).encode()).hexdigest()
 
 
 def _is_text(node: ast.AST) -> bool:

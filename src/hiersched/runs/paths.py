@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from hiersched.runs.variants import (
+    GROUPS,
     LEARNED_GROUP,
     STUDY_GAINS,
     STUDY_PLANTS,
+    SWEPT_KEYS,
     design_of,
     gain_designs,
     group_policies,
@@ -17,6 +19,7 @@ from hiersched.runs.variants import (
 from hiersched.scenario import Scenario
 
 SCENARIO = "scenario.yaml"
+CHECKPOINTS = "checkpoints"
 PROGRESS = f"train/{LEARNED_GROUP}/progress.csv"
 
 FIGURES = (
@@ -130,3 +133,13 @@ def study_gain_files(scenario: Scenario) -> list[str]:
     """List the gain schedules of the gain study."""
     variants = [study_scenario(scenario, method, "adjusted") for method in STUDY_PLANTS]
     return [gain_file(design_of(scenario, variant)) for variant in variants]
+
+
+def all_logs(scenario: Scenario) -> list[str]:
+    """List every log of a study."""
+    names = [*training_logs(scenario), *gain_study_logs(scenario)]
+    for group in GROUPS:
+        names += evaluation_logs(scenario, group)
+        for axis in SWEPT_KEYS:
+            names += sweep_logs(scenario, axis, group)
+    return names

@@ -107,9 +107,7 @@ class RoundLogs:
         )
 
 
-def train_and_log(
-    scenario: Scenario, results: Path, checkpoints: Path, *, show: bool = True
-) -> None:
+def train_and_log(scenario: Scenario, results: Path, code: str, *, show: bool = True) -> None:
     """Train all seeds; write policies, progress and the log of every slot.
 
     Parameters
@@ -118,20 +116,19 @@ def train_and_log(
         Section `learning` decides.
     results
         Folder of the study; the scenario's gain schedule lies in it.
-    checkpoints
-        Folder of this very training: code and values that it depends on. If it holds a checkpoint,
-        training goes on from there, to the same bits; it is removed at the end.
+    code
+        Names the code: a checkpoint of the same code and scenario is where training goes on, to the
+        same bits; any other is removed.
     show
         Whether to show progress on the terminal.
     """
     schedule, gains = load_gains(results / paths.gain_file("schedule"), scenario)
-    checkpoints.mkdir(parents=True, exist_ok=True)
-    checkpoint = checkpoints / "training.pt"
+    checkpoint = _checkpoint_folder(results, scenario, code) / "training.pt"
     done = 0
     if checkpoint.exists():
         done = int(load_checkpoint(checkpoint, scenario_sha256(scenario))["trainer"]["round"])
         print(f"going on after round {done} of {checkpoint}", flush=True)
-    logs = RoundLogs(scenario, schedule, checkpoints, done)
+    logs = RoundLogs(scenario, schedule, checkpoint.parent, done)
     progress = results / paths.PROGRESS
     progress.parent.mkdir(parents=True, exist_ok=True)
     policies = train(
@@ -152,4 +149,15 @@ def train_and_log(
             results / paths.training_log(policy.seed),
             {weights.name: weights.read_bytes()},
         )
-    shutil.rmtree(checkpoints)
+    shutil.rmtree(checkpoint.parents[1])
+
+
+def _checkpoint_folder(results: Path, scenario: Scenario, code: str) -> Path:
+    """Make the folder of this very training, and remove those of others."""
+    folder = results / paths.CHECKPOINTS / f"{scenario_sha256(scenario)[:16]}_{code[:16]}"
+    if folder.parent.exists():
+        for other in folder.parent.iterdir():
+            if other != folder:
+                shutil.rmtree(other)
+    folder.mkdir(parents=True, exist_ok=True)
+    return folder

@@ -1,0 +1,69 @@
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from hiersched.control import GainSchedule
+from hiersched.runs.events import slot_events, stretches
+from hiersched.runs.gains import load_gains
+from hiersched.scenario import Scenario
+
+
+@given(arrays(np.bool_, st.tuples(st.integers(0, 12), st.integers(0, 3))))
+def test_stretches_are_maximal_and_cover(mask: np.ndarray) -> None:
+    rebuilt = np.zeros_like(mask)
+    for column, start, stop in stretches(mask):
+        assert start < stop
+        assert start == 0 or not mask[start - 1, column]
+        assert stop == len(mask) or not mask[stop, column]
+        rebuilt[start:stop, column] = True
+    assert (rebuilt == mask).all()
+
+
+def quiet(slots: int) -> dict[str, np.ndarray]:
+    """Fields of four users and two robots with nothing to report."""
+    return {
+        "hol_delay_s": np.zeros((slots, 4)),
+        "delay_capped": np.zeros((slots, 2), np.uint32),
+        "network_delay_s": np.zeros((slots, 2)),
+        "gain_delay_steps": np.zeros((slots, 2), np.uint32),
+        "control_saturated": np.zeros((slots, 2), np.uint32),
+    }
+
+
+def test_events_say_where_trouble_begins(tiny: Scenario, designed) -> None:
+    schedule, _ = load_gains(designed / "gains" / "schedule.json", tiny)
+    fields = quiet(8)
+    assert slot_events(tiny, schedule, fields) == []
+    fields["hol_delay_s"][:, 1] = [0, 0.02, 0.03, 0.05, 0.02, 0, 0.03, 0]
+    fields["hol_delay_s"][:, 2] = 0.2  # an eMBB user has 0.3 s
+    fields["delay_capped"][4:6, 0] = 1
+    fields["network_delay_s"][4:6, 0] = 0.06, 0.075
+    fields["control_saturated"][7, 1] = 2
+    found = [(e.slot, e.level, e.name, e.message) for e in slot_events(tiny, schedule, fields, 100)]
+    assert found == [
+        (102, "WARNING", "queue", "user 1: head-of-line delay past 20 ms for 2 slots, up to 50 ms"),
+        (
+            104,
+            "WARNING",
+            "delay",
+            "robot 0: network delay up to 75 ms, capped at 2 samples for 2 slots",
+        ),
+        (106, "WARNING", "queue", "user 1: head-of-line delay past 20 ms for 1 slots, up to 30 ms"),
+        (107, "INFO", "control", "robot 1: 2 saturated commands in 1 slots"),
+    ]
+
+
+def test_gains_without_certificate_are_reported(tiny: Scenario, designed) -> None:
+    schedule, _ = load_gains(designed / "gains" / "schedule.json", tiny)
+    broken = GainSchedule(**{**vars(schedule), "status": ("nominal", "nominal", "infeasible")})
+    fields = quiet(3)
+    fields["gain_delay_steps"][1:, 1] = 2
+    (event,) = slot_events(tiny, broken, fields)
+    assert (event.slot, event.name) == (1, "gain")
+    assert event.message == (
+        "robot 1: no certified gain for T = 2, nominal gain in force for 2 slots"
+    )
+    assert slot_events(tiny, schedule, fields) == []

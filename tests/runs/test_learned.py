@@ -1,0 +1,132 @@
+"""Training and the learned policy: every slot is logged, and an interruption changes no bit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from hiersched.learning.policy import Policy, rollout
+from hiersched.log import LogReader
+from hiersched.runs import paths
+from hiersched.runs import train as stage
+from hiersched.runs.evaluate import evaluate
+from hiersched.runs.gains import load_gains
+from hiersched.runs.learned import LearnedRunner
+from hiersched.runs.policies import seed_worlds
+from hiersched.runs.train import train_and_log
+from hiersched.scenario import Scenario
+from hiersched.simulator import Simulator
+
+EPISODES, SLOTS = 6, 10
+
+
+@pytest.fixture(scope="module")
+def trained(tiny: Scenario, designed: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    results = tmp_path_factory.mktemp("trained")
+    (results / "gains").symlink_to(designed / "gains")
+    train_and_log(tiny, results, "code", show=False)
+    return results
+
+
+def test_every_slot_of_training_is_logged(tiny: Scenario, trained: Path) -> None:
+    for name, seed in zip(paths.training_logs(tiny), tiny.learning.seeds, strict=True):
+        with LogReader(trained / name) as log:
+            assert log.num_slots == EPISODES * SLOTS
+            queue = log.read("/queue")
+            assert log.metadata["seed"] == str(seed)
+            assert log.metadata["slots_per_episode"] == str(SLOTS)
+            weights = log.attachments[f"policy_seed{seed}.pt"]
+        assert (queue["slot"] == np.arange(EPISODES * SLOTS)).all()
+        backlog = queue["backlog_packets"].reshape(EPISODES, SLOTS, -1)
+        assert (backlog[:, 0] == 0).all()  # every episode starts with empty queues
+        after = np.maximum(
+            0.0, queue["backlog_packets"] + queue["arrivals_packets"] - queue["service_packets"]
+        ).reshape(backlog.shape)
+        assert np.array_equal(after[:, :-1], backlog[:, 1:])
+        assert weights == (trained / paths.policy_file(seed)).read_bytes()
+    assert (trained / paths.PROGRESS).stat().st_size > 0
+    assert not (trained / paths.CHECKPOINTS).exists()
+
+
+class InterruptedRunError(Exception):
+    pass
+
+
+def test_an_interrupted_training_ends_in_the_same_bits(
+    tiny: Scenario, trained: Path, results: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    add = stage.RoundLogs.add
+    calls = []
+
+    def add_then_stop(self: stage.RoundLogs, seed_index: int, fields: dict) -> None:
+        add(self, seed_index, fields)
+        calls.append(seed_index)
+        if len(calls) == 6:  # in the middle of the second of three rounds
+            raise InterruptedRunError
+
+    monkeypatch.setattr(stage.RoundLogs, "add", add_then_stop)
+    with pytest.raises(InterruptedRunError):
+        train_and_log(tiny, results, "code", show=False)
+    assert not list((results / "train/ddpg").glob("*.mcap"))  # nothing looks complete
+    monkeypatch.setattr(stage.RoundLogs, "add", add)
+    train_and_log(tiny, results, "code", show=False)
+    for name in paths.training_logs(tiny):
+        assert (results / name).read_bytes() == (trained / name).read_bytes()
+    for name in paths.policy_files(tiny):
+        a, b = Policy.load(results / name), Policy.load(trained / name)
+        assert np.array_equal(a.parameters, b.parameters)
+
+
+def test_a_checkpoint_of_other_code_is_not_used(
+    tiny: Scenario, results: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = results / paths.CHECKPOINTS / "0_other"
+    folder.mkdir(parents=True)
+    (folder / "training.pt").write_bytes(b"no checkpoint")
+    seen = []
+    monkeypatch.setattr(stage, "train", lambda *_, **given: seen.append(given["checkpoint"]) or ())
+    train_and_log(tiny, results, "code", show=False)
+    assert not folder.exists()
+    assert seen[0].name == "training.pt"
+    assert seen[0].parent != folder
+
+
+@pytest.fixture
+def policies(tiny: Scenario, trained: Path, tmp_path: Path) -> list[Path]:
+    """Policies that differ: so short a training leaves the actors where they began."""
+    files = []
+    for place, name in enumerate(paths.policy_files(tiny)):
+        policy = Policy.load(trained / name)
+        rng = np.random.default_rng(place)
+        parameters = rng.normal(0.0, 0.5, policy.parameters.shape).astype(np.float32)
+        files.append(tmp_path / Path(name).name)
+        Policy(**{**vars(policy), "parameters": parameters}).save(files[-1])
+    return files
+
+
+def test_world_i_runs_the_policy_of_training_seed_i(
+    tiny: Scenario, policies: list[Path], results: Path
+) -> None:
+    evaluate(tiny, results, "ddpg", LearnedRunner(policies))
+    _, gains = load_gains(results / "gains/schedule.json", tiny)
+    for index, seed in enumerate(tiny.evaluate.seeds):
+        file = policies[index % 2]
+        simulator = Simulator(tiny, gains, seed_worlds("evaluate", [seed]), 20)
+        expected = rollout(simulator, Policy.load(file)).environment(0)
+        with LogReader(results / f"eval/ddpg/seed{seed}.mcap") as log:
+            assert log.metadata["policy_seed"] == str(tiny.learning.seeds[index % 2])
+            assert log.attachments[file.name] == file.read_bytes()
+            logged = log.read("/allocation")
+        assert np.array_equal(logged["prb_owner"], expected["prb_owner"])
+        assert np.allclose(logged["weight"], expected["weight"], rtol=1e-5)
+        assert len(np.unique(logged["weight"])) > 2
+
+
+def test_fewer_worlds_than_policies(tiny: Scenario, trained: Path) -> None:
+    runner = LearnedRunner([trained / name for name in paths.policy_files(tiny)])
+    gain = np.zeros((tiny.max_delay_steps + 1, 2, 5))
+    gains = SimpleNamespace(local_gains=gain, network_gains=gain)
+    assert [run.seed for run in runner(tiny, gains, "ddpg", "evaluate", (5,), 2)] == [5]

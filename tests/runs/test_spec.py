@@ -1,0 +1,163 @@
+"""What a job depends on: all that it reads, and nothing else."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hiersched.runs import gains as gains_stage
+from hiersched.runs import paths, spec
+from hiersched.runs.evaluate import evaluate
+from hiersched.runs.gain_study import gain_study
+from hiersched.runs.policies import run_classical
+from hiersched.runs.sweep import sweep
+from hiersched.scenario import Scenario
+
+# What these read is in the log as a copy of the scenario, or decides on file names alone.
+NOT_A_USE = {
+    "scenario_to_yaml",
+    "scenario_to_dict",
+    "scenario_sha256",
+    "swept_scenario",
+    "study_scenario",
+    "gain_designs",
+    "design_of",
+}
+
+
+@pytest.fixture
+def reads(tiny: Scenario, monkeypatch: pytest.MonkeyPatch) -> set[str]:
+    """Keys of the scenario that are read while a test runs."""
+    seen: set[str] = set()
+
+    def record(section: str) -> Callable[[Any, str], Any]:
+        def read(self: Any, name: str) -> Any:
+            if not name.startswith("_"):
+                frame = sys._getframe(1)
+                callers = set()
+                while frame is not None:
+                    callers.add(frame.f_code.co_name)
+                    frame = frame.f_back
+                if not callers & NOT_A_USE:
+                    seen.add(f"{section}.{name}")
+            return object.__getattribute__(self, name)
+
+        return read
+
+    for field in fields(tiny):
+        kind = type(getattr(tiny, field.name))
+        if kind is not str:
+            monkeypatch.setattr(kind, "__getattribute__", record(field.name), raising=False)
+    return seen
+
+
+def undeclared(reads: set[str], values: dict[str, Any]) -> set[str]:
+    return reads - set(values)
+
+
+def test_evaluation_reads_what_it_declares(tiny: Scenario, results: Path, reads: set[str]) -> None:
+    evaluate(tiny, results, "classical", run_classical)
+    values = spec.evaluate_values(tiny, "classical")
+    assert undeclared(set(reads), values) == {"evaluate.policies"}  # "policies": those of the group
+
+
+@pytest.mark.parametrize("axis", ["rayleigh_scale", "sampling_s", "reference", "load"])
+def test_a_sweep_reads_what_it_declares(
+    tiny: Scenario, results: Path, reads: set[str], axis: str
+) -> None:
+    sweep(tiny, results, axis, "classical", run_classical)
+    values = spec.sweep_values(tiny, axis, "classical")
+    # The swept key is read from the variant: its values are those of the axis.
+    replaced = set() if axis == "sampling_s" else {spec.SWEPT_KEYS[axis]}
+    assert undeclared(set(reads), values) == {"sweeps.policies", *replaced}
+
+
+def test_the_gain_study_reads_what_it_declares(
+    tiny: Scenario, results: Path, reads: set[str]
+) -> None:
+    gain_study(tiny, results)
+    undeclared_reads = undeclared(set(reads), spec.gain_study_values(tiny))
+    # The slot loop's constants are built, but the robots run alone.
+    unused = ("users.", "traffic.", "radio.", "objective.", "schedulers.", "learning.reward_scale")
+    assert {key for key in undeclared_reads if not key.startswith(unused)} == set()
+
+
+def test_gain_design_reads_what_it_declares(
+    tiny: Scenario, results: Path, reads: set[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(gains_stage, "load_or_build", lambda *_, **__: None)
+    gains_stage.design_gains(tiny, "schedule", results / "x.json")
+    assert undeclared(set(reads), spec.gains_values(tiny, "schedule")) == set()
+
+
+def test_training_reads_what_it_declares(tiny: Scenario, results: Path, reads: set[str]) -> None:
+    from hiersched.runs.train import train_and_log
+
+    train_and_log(tiny, results, "code", show=False)
+    assert undeclared(set(reads), spec.train_values(tiny)) == set()
+
+
+def changed(scenario: Scenario, key: str, value: Any) -> Scenario:
+    section, name = key.split(".")
+    return replace(scenario, **{section: replace(getattr(scenario, section), **{name: value})})
+
+
+JOBS: dict[str, Callable[[Scenario], Any]] = {
+    "gains": lambda s: spec.gains_values(s, "schedule"),
+    "gains_0.04": lambda s: spec.gains_values(s, "schedule_0.04"),
+    "train": spec.train_values,
+    "evaluate": lambda s: spec.evaluate_values(s, "classical"),
+    "evaluate_ddpg": lambda s: spec.evaluate_values(s, "ddpg"),
+    "gain_study": spec.gain_study_values,
+    **{
+        f"sweep_{axis}": (lambda s, axis=axis: spec.sweep_values(s, axis, "classical"))
+        for axis in spec.SWEPT_KEYS
+    },
+}
+SWEEPS = {f"sweep_{axis}" for axis in spec.SWEPT_KEYS}
+SLOT_LOOP = {"train", "evaluate", "evaluate_ddpg", *SWEEPS}
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "jobs"),
+    [
+        ("evaluate.duration_s", 0.3, {"evaluate", "evaluate_ddpg"}),
+        ("evaluate.policies", ("ddpg", "pf", "max_rate"), {"evaluate"}),
+        ("evaluate.policies", ("pf", "ddpg", "edf"), set()),
+        ("learning.episodes", 8, {"train"}),
+        ("learning.reward_scale", 10.0, SLOT_LOOP),
+        ("objective.multiplier_step", 1.0, {"train"}),
+        ("objective.penalty_weight", 1.0, SLOT_LOOP),
+        ("sweeps.load", (0.9, 1.0), {"sweep_load"}),
+        ("sweeps.duration_s", 0.2, SWEEPS),
+        ("traffic.load", 0.8, SLOT_LOOP - {"sweep_load"}),
+        ("radio.rayleigh_scale", 2.0, (SLOT_LOOP - {"sweep_rayleigh_scale"})),
+        ("radio.slot_s", 0.005, SLOT_LOOP | {"gain_study"}),
+        ("gain_study.num_robots", 5, {"gain_study"}),
+        ("log.train_profile", "full", {"train"}),
+        ("robot.speed_mps", 0.5, SLOT_LOOP | {"gain_study", "gains", "gains_0.04"}),
+        ("control.gain", "nominal", SLOT_LOOP | {"gain_study"}),
+        ("traffic.reliability_levels", (0.9,), SLOT_LOOP),
+    ],
+)
+def test_a_value_changes_the_jobs_that_read_it(
+    tiny: Scenario, key: str, value: Any, jobs: set[str]
+) -> None:
+    other = changed(tiny, key, value)
+    assert {name for name, values in JOBS.items() if values(tiny) != values(other)} == jobs
+
+
+def test_the_parameter_is_canonical(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text("x = 1\n", encoding="utf-8")
+    one = spec.stage_spec("train", {"a": 1, "b": 2}, script)
+    assert one == spec.stage_spec("train", {"b": 2, "a": 1}, script)
+    assert one != spec.stage_spec("train", {"a": 2, "b": 1}, script)
+    assert json.loads(one)["values"] == {"a": 1, "b": 2}
+    assert paths.SCENARIO == "scenario.yaml"

@@ -1,0 +1,174 @@
+"""Which jobs run again after which change: Snakemake decides, over files that are stand-ins."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from hiersched.runs import paths
+from hiersched.runs.variants import SWEPT_KEYS
+from hiersched.scenario import Scenario, load_scenario
+
+pytestmark = pytest.mark.slow
+
+SMOKE = "config/scenarios/smoke.yaml"
+ALWAYS = {"aggregate", "figures"}
+LEARNED = {"train", "evaluate_ddpg", *(f"sweep_{axis}_ddpg" for axis in SWEPT_KEYS)}
+CLASSICAL = {"evaluate_classical", *(f"sweep_{axis}_classical" for axis in SWEPT_KEYS)}
+EVERY_RUN = {*LEARNED, *CLASSICAL, "gain_study"}
+
+
+def snakemake(tree: Path, *words: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-m", "snakemake", *words, "--config", "scenarios=[smoke]"],
+        cwd=tree,
+        env={**os.environ, "PYTHONPATH": str(tree / "src")},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout + done.stderr
+
+
+def to_run(tree: Path) -> set[str]:
+    """Jobs of a dry run, without the scenario's name; `all` and `resolve` follow every value."""
+    text = snakemake(tree, "-n")
+    if "Nothing to be done" in text:
+        return set()
+    table = text.split("Job stats:")[1].split("total")[0]
+    names = set(re.findall(r"^(\w+) +\d+$", table, re.MULTILINE))
+    return {name.removesuffix("_smoke") for name in names} - {"all", "resolve"}
+
+
+def outputs(scenario: Scenario) -> list[str]:
+    return [
+        paths.SCENARIO,
+        paths.PROGRESS,
+        *paths.all_gain_files(scenario),
+        *paths.policy_files(scenario),
+        *paths.all_logs(scenario),
+        *(f"figures/{name}.{end}" for name in paths.FIGURES for end in ("svg", "png")),
+        *(f"tables/{name}.{end}" for name in paths.TABLES for end in ("csv", "md")),
+    ]
+
+
+@pytest.fixture(scope="module")
+def tree(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the project whose results are stand-ins that Snakemake takes for made."""
+    copy = tmp_path_factory.mktemp("project")
+    shutil.copy(project_root / "Snakefile", copy)
+    for name in ("config", "workflow", "src"):
+        ignored = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(project_root / name, copy / name, ignore=ignored)
+    os.chdir(project_root)
+    names = [f"results/smoke/{name}" for name in outputs(load_scenario("smoke"))]
+    kernels = re.search(r"results/\.kernels/\w+\.txt", snakemake(copy, "-n"))
+    assert kernels is not None
+    for name in (*names, kernels[0]):
+        (copy / name).parent.mkdir(parents=True, exist_ok=True)
+        (copy / name).write_text("stand-in\n", encoding="utf-8")
+    snakemake(copy, "--cores", "1", "--touch", "--forceall", "--quiet")
+    return copy
+
+
+@contextmanager
+def edited(tree: Path, *edits: tuple[str, str, str]) -> Iterator[None]:
+    """Replace text in files of the tree, for a while."""
+    before = {name: (tree / name).read_bytes() for name, _, _ in edits}
+    try:
+        for name, old, new in edits:
+            text = (tree / name).read_text(encoding="utf-8")
+            assert old in text, (name, old)
+            (tree / name).write_text(text.replace(old, new, 1), encoding="utf-8")
+        yield
+    finally:
+        for name, content in before.items():
+            (tree / name).write_bytes(content)
+
+
+def test_nothing_runs_when_nothing_changed(tree: Path) -> None:
+    assert to_run(tree) == set()
+
+
+def test_comments_and_the_order_of_keys_run_nothing(tree: Path) -> None:
+    module = '"""Reads logs'
+    with edited(
+        tree,
+        (
+            SMOKE,
+            "  seeds: [101, 102]\n  duration_s: 3.0\n",
+            "  duration_s: 3.0 # why\n  seeds: [101, 102]\n",
+        ),
+        ("src/hiersched/log/reader.py", module, f"# A remark.\n{module} again"),
+        (
+            "src/hiersched/control/krasovskii.py",
+            "from __future__",
+            "# A remark.\n\nfrom __future__",
+        ),
+        ("workflow/rules/run.smk", "for s in", "# A remark.\nfor s in"),
+        ("workflow/scripts/train.py", '"""Train', '"""Do train'),
+    ):
+        assert to_run(tree) == set()
+
+
+def test_a_value_runs_its_dependents(tree: Path) -> None:
+    with edited(tree, (SMOKE, "duration_s: 3.0", "duration_s: 4.0")):
+        assert to_run(tree) == {"evaluate_classical", "evaluate_ddpg", *ALWAYS}
+
+
+def test_two_swapped_values_are_a_change(tree: Path) -> None:
+    with edited(
+        tree,
+        (SMOKE, "  episodes: ", "  actor_lr: 1.0e-3\n  critic_lr: 5.0e-4\n  episodes: "),
+    ):
+        assert to_run(tree) == {*LEARNED, *ALWAYS}
+
+
+def test_a_new_point_of_a_sweep_runs_that_sweep(tree: Path) -> None:
+    with edited(tree, (SMOKE, "load: [0.85, 1.0]", "load: [0.85, 0.95]")):
+        assert to_run(tree) == {"sweep_load_classical", "sweep_load_ddpg", *ALWAYS}
+
+
+def test_a_new_sampling_interval_designs_its_gains(tree: Path) -> None:
+    with edited(tree, (SMOKE, "sampling_s: [0.02, 0.05]", "sampling_s: [0.02, 0.04]")):
+        sweeps = {"sweep_sampling_s_classical", "sweep_sampling_s_ddpg"}
+        assert to_run(tree) == {"gains", *sweeps, *ALWAYS}
+
+
+def test_the_regulator_runs_everything(tree: Path) -> None:
+    with edited(tree, (SMOKE, "gain_study:", "control: {weight: 500.0}\ngain_study:")):
+        assert to_run(tree) == {"gains", *EVERY_RUN, *ALWAYS}
+
+
+@pytest.mark.parametrize(
+    ("modules", "jobs"),
+    [
+        (["study/figures.py"], ALWAYS),
+        (["learning/ddpg.py", "runs/gain_study.py"], {*LEARNED, "gain_study", *ALWAYS}),
+        (["network/schedulers.py"], {"gains", "kernels", *EVERY_RUN, *ALWAYS}),
+    ],
+)
+def test_code_runs_its_dependents(tree: Path, modules: list[str], jobs: set[str]) -> None:
+    new = ("from __future__", "NEW = 1\nfrom __future__")
+    with edited(tree, *((f"src/hiersched/{module}", *new) for module in modules)):
+        assert to_run(tree) == jobs
+
+
+def test_a_missing_log_is_made_again(tree: Path) -> None:
+    log = tree / "results/smoke/eval/pf/seed101.mcap"
+    content, stat = log.read_bytes(), log.stat()
+    log.unlink()
+    try:
+        assert to_run(tree) == {"evaluate_classical", *ALWAYS}
+    finally:
+        log.write_bytes(content)
+        os.utime(log, ns=(stat.st_atime_ns, stat.st_mtime_ns))
