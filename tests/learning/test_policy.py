@@ -87,3 +87,9 @@ def test_a_policy_runs_on_another_number_of_users(scenario):
     weights = policy.act(features)
     order = [3, 1, 2, 0, *range(19, 3, -1)]
     np.testing.assert_allclose(policy.act(features[:, order]), weights[:, order], rtol=1e-4)
+
+
+def test_a_policy_for_other_users_is_refused(scenario, gains):
+    simulator = Simulator(scenario, gains, world_keys("t", 1, 1), 2)
+    with pytest.raises(ValueError, match="policy for 4 URLLC users: must be for 3"):
+        rollout(simulator, some_policy(scenario).for_users(4))

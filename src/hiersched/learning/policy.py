@@ -158,7 +158,18 @@ def rollout(
     -------
     record
         All slots of all worlds.
+
+    Raises
+    ------
+    ValueError
+        If the policy is for another number of URLLC users.
     """
+    num_urllc = simulator.scenario.users.num_urllc
+    if len(policy.multipliers) != num_urllc:
+        raise ValueError(
+            f"policy for {len(policy.multipliers)} URLLC users: must be for {num_urllc} "
+            "(Policy.for_users takes it there)"
+        )
     slots = simulator.slots_left if num_slots is None else num_slots
     whole = simulator.new_record(slots) if record is None else record
     multipliers = np.broadcast_to(
