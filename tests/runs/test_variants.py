@@ -41,7 +41,7 @@ def test_unknown_axis(tiny: Scenario) -> None:
 
 
 def test_a_swept_value_must_fit(tiny: Scenario) -> None:
-    """0.03 s is a multiple of the substep, which the scenario asks for, but not a part of a window."""
+    """0.03 s is a multiple of the substep, as the scenario asks, but does not divide a window."""
     scenario = replace(tiny, sweeps=replace(tiny.sweeps, sampling_s=(0.02, 0.03)))
     with pytest.raises(
         ScenarioError, match=r"sweeps.sampling_s = 0.03: robot.window_s = 1.0: must be"

@@ -16,6 +16,7 @@ for s in SCENARIOS:
             f"{folder(s)}/logs/train.log",
         benchmark:
             f"{folder(s)}/benchmarks/train.tsv"
+        priority: 50  # most others wait for it
         threads: 1
         params:
             spec=spec.stage_spec("train", spec.train_values(s), script("train")),
