@@ -18,7 +18,8 @@ from hiersched.scenario.schema import Scenario
 
 CONFIG = Path("config")
 _KEY_LINE = re.compile(
-    r"^(\s*)([a-z_0-9]+):\s*([^#]*?)\s*(?:#\s*\[([^\]]+)\]\s*(paper|assumed)(?::\s*(.*))?)?$"
+    r"^(\s*)([a-z_0-9]+):\s*([^#]*?)\s*"
+    r"(?:#\s*\[([^\]]+)\]\s*(paper|assumed)(?::\s*(.*))?|#.*)?$"
 )
 
 
