@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import pytest
 
 from hiersched.network.schedulers import CLASSICAL, SchedulerConstants, index_weights
 
@@ -159,7 +158,7 @@ def test_drift_plus_penalty(schedule):
     """F = 10 and 0, no arrivals: user 0's ½([10 − r]⁺² − 100), and V / r² for both (ε ≈ 0).
 
     V = 1, one each: (PRB 0, PRB 1) −49.5 + 1/81 + 1/9 is least. PRB 2: user 0 goes to r = 16,
-    L = −50 + 1/256, and gains 0.508; user 1 gains 1/9 − 1/5.5² = 0.078. V = 10: 0.584 against 0.781.
+    L = −50 + 1/256, and gains 0.508; user 1 gains 1/9 − 1/5.5² = 0.078. V = 10: 0.584, 0.781.
     """
     given = {"backlog_packets": [10.0, 0.0], "epsilon": 1e-12}
     assert schedule("drift_plus_penalty", RATE, penalty_weight=1.0, **given) == [0, 1, 0]

@@ -1,0 +1,162 @@
+"""One integration step and the loop around it; the whole loop is in tests/simulator."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hiersched.robot.dynamics import RobotConstants, close_loop, move_step, robot_state
+from hiersched.robot.plant import discretise, unicycle_error_model
+from hiersched.robot.reference import reference_table
+
+LAG_S = 0.1
+
+
+def constants(reference="straight", *, step_s=0.0025, speed_mps=1.0, noise=0.0, max_delay=3,
+              local=None, network=None, limit=(2.0, 4.0)):  # fmt: skip
+    table, offset = reference_table(reference, speed_mps, step_s, 4000, 1)
+    half = 0.5 * step_s * table.turn_rate_radps
+    decay = math.exp(-step_s / LAG_S)
+    zeros = np.zeros((max_delay + 1, 2, 5))
+    return RobotConstants(
+        step_s=step_s, steps_per_slot=4, steps_per_sample=8, steps_per_window=400, sampling_s=0.02,
+        lag_decay=decay, lag_mean=(1 - decay) * LAG_S / step_s, slip_decay=0.9, slip_gain_mps=0.0,
+        slip_gain_radps=0.0, noise_position_m=noise, noise_heading_rad=2 * noise,
+        max_speed_mps=limit[0], max_turn_rate_radps=limit[1], core_latency_s=0.005,
+        max_delay_steps=max_delay, local_gain=zeros if local is None else local,
+        network_gain=zeros if network is None else network, speed_mps=speed_mps,
+        turn_rate=table.turn_rate_radps, half_cos=np.cos(half), half_sin=np.sin(half),
+        chord=speed_mps * step_s * np.sinc(half / math.pi), pose=table.pose, offset=offset,
+    )  # fmt: skip
+
+
+def move(robot, state, control, slip=(0.0, 0.0), steps=1, place=0):
+    state = np.array(state, float)
+    for step in range(steps):
+        move_step(robot, place + step, np.array(slip), np.array(control), state, np.zeros(3))
+    return state
+
+
+@pytest.mark.parametrize("speed_mps", [1.0, 0.6])
+def test_first_order_is_the_discretised_plant(speed_mps):
+    """Jacobian of one sample (8 steps) against A, B: what the gains are designed for."""
+    A, B = discretise(*unicycle_error_model(speed_mps, 0.0, LAG_S), 0.02)
+    robot, d = constants(speed_mps=speed_mps), 1e-5
+    for j in range(5):
+        x = d * np.eye(5)[j]
+        column = (move(robot, x, (0, 0), steps=8) - move(robot, -x, (0, 0), steps=8)) / (2 * d)
+        np.testing.assert_allclose(column, A[:, j], atol=2e-6)
+    for j in range(2):
+        u = d * np.eye(2)[j]
+        zero = np.zeros(5)
+        column = (move(robot, zero, u, steps=8) - move(robot, zero, -u, steps=8)) / (2 * d)
+        np.testing.assert_allclose(column, B[:, j], atol=2e-6)
+
+
+@pytest.mark.parametrize("reference", ["straight", "arc", "figure_eight", "zigzag"])
+def test_without_slip_a_robot_stays_on_its_reference(reference):
+    """Open loop for 10 s: the midpoint rule drifts by v T (ω Δt)² / 24, 0.04 mm on the zig-zag."""
+    robot = constants(reference)
+    end = move(robot, np.zeros(5), (0.0, 0.0), steps=4000)
+    drift_m = 10.0 * (np.abs(robot.turn_rate).max() * robot.step_s) ** 2 / 24
+    assert np.hypot(*end[:2]) <= drift_m + 1e-12
+    np.testing.assert_array_equal(end[2:], 0.0)
+
+
+@pytest.mark.parametrize("reference", ["straight", "figure_eight", "zigzag"])
+def test_motion_is_that_of_the_unicycle_in_the_world(reference):
+    """Integrate x' = v cos θ, y' = v sin θ, θ' = ω in the world, then change the frame."""
+    start, control, slip = np.array([0.1, -0.2, 0.6, 0.3, -0.5]), (0.4, 1.1), (0.05, -0.2)
+    robot, steps = constants(reference, speed_mps=0.9), 200
+    pose = robot.pose
+
+    def rate(z, turn):
+        theta, v, w = z[2:]
+        speed, omega = 0.9 + v + slip[0], turn + w + slip[1]
+        lag = (control[0] - v) / LAG_S, (control[1] - w) / LAG_S
+        return np.array([speed * math.cos(theta), speed * math.sin(theta), omega, *lag])
+
+    def frame(heading):
+        c, s = math.cos(heading), math.sin(heading)
+        return np.array([[c, s], [-s, c]])
+
+    z = np.array(
+        [*(pose[0, :2] + frame(pose[0, 2]).T @ start[:2]), pose[0, 2] + start[2], *start[3:]]
+    )
+    for turn in robot.turn_rate[:steps]:  # Runge and Kutta's fourth order: exact beside the other
+        h = robot.step_s
+        k1 = rate(z, turn)
+        k2 = rate(z + 0.5 * h * k1, turn)
+        k3 = rate(z + 0.5 * h * k2, turn)
+        z = z + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(z + h * k3, turn))
+    error = frame(pose[steps, 2]) @ (z[:2] - pose[steps, :2])
+    heading = (z[2] - pose[steps, 2] + math.pi) % (2 * math.pi) - math.pi
+    got = move(robot, start, control, slip, steps)
+    np.testing.assert_allclose(got, [*error, heading, *z[3:]], atol=2e-5)
+
+
+def test_halving_the_step_quarters_the_error():
+    start, control = np.array([0.1, -0.2, 0.6, 0.3, -0.5]), (0.4, 1.1)
+    ends = [
+        move(constants("arc", step_s=0.02 / n), start, control, steps=10 * n) for n in (2, 4, 64)
+    ]
+    coarse, fine = (np.abs(end - ends[2]).max() for end in ends[:2])
+    assert 3.5 < coarse / fine < 4.5
+
+
+def test_window_sums_by_hand():
+    """Slip alone, straight: v = 1.5, ω = 0.3, so |ω| / |v| = 0.2; at v = 0.01 it is 0.3 / 0.05."""
+    robot, sums, state = constants(), np.zeros(3), np.zeros(5)
+    square = move_step(robot, 0, np.array([0.5, 0.3]), np.zeros(2), state, sums)
+    assert square == state[0] ** 2 + state[1] ** 2 == sums[0]
+    assert state[0] == pytest.approx(0.5 * 0.0025, abs=1e-8)
+    assert sums[1] == pytest.approx(0.3 * 0.0025)
+    assert sums[2] == pytest.approx(0.2)
+    move_step(robot, 0, np.array([-0.99, 0.3]), np.zeros(2), np.zeros(5), sums)
+    assert sums[2] == pytest.approx(0.2 + 0.3 / 0.05)
+
+
+def random_gains(seed, max_delay=3, size=1.0):
+    return size * np.random.default_rng(seed).normal(size=(2, max_delay + 1, 2, 5))
+
+
+@given(st.lists(st.integers(0, 3), min_size=8, max_size=20), st.integers(0, 100))
+def test_command_is_the_delayed_feedback_with_the_gain_of_its_delay(delays, seed):
+    """u(k) = −K_local[T] y(k) − K_network[T] y(k − T), y the noisy measurement, y = 0 before 0."""
+    rng = np.random.default_rng(seed)
+    local, network = random_gains(seed, size=0.05)
+    robot = constants(local=local, network=network, noise=0.01)
+    states = robot_state(1, 1, 3, 0.7)
+    measured = {k: np.zeros(5) for k in range(-3, 0)}
+    for k, delay in enumerate(delays):
+        x, normals = rng.normal(size=5), rng.normal(size=5).astype(np.float32)
+        saturated = close_loop(
+            robot, k, delay, normals, x, states.history[0, 0], states.control[0, 0]
+        )
+        noise = np.array([0.01, 0.01, 0.02, 0.0, 0.0]) * [*normals[2:].astype(float), 0.0, 0.0]
+        measured[k] = x + noise
+        expected = -local[delay] @ measured[k] - network[delay] @ measured[k - delay]
+        assert np.abs(expected).max() < 2.0
+        np.testing.assert_allclose(states.control[0, 0], expected, atol=1e-12)
+        assert saturated == 0
+
+
+def test_commands_stop_at_their_limits_and_say_so():
+    network = np.zeros((4, 2, 5))
+    network[0, 0, 0] = network[0, 1, 1] = 1.0
+    robot = constants(network=network, limit=(0.5, 3.0))
+    states = robot_state(1, 1, 3, 0.7)
+    normals = np.zeros(5, np.float32)
+    for x, control, saturated in [
+        ([0.4, -2.0], [-0.4, 2.0], 0),
+        ([0.6, 0.0], [-0.5, 0.0], 1),
+        ([-0.6, 4.0], [0.5, -3.0], 1),
+        ([0.5, 3.0], [-0.5, -3.0], 0),
+    ]:
+        state = np.array([*x, 0.0, 0.0, 0.0])
+        got = close_loop(robot, 0, 0, normals, state, states.history[0, 0], states.control[0, 0])
+        assert (states.control[0, 0].tolist(), got) == (control, saturated)

@@ -1,0 +1,80 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from hiersched.robot.reference import ARC_RADIUS_M, EIGHT_HALF_WIDTH_M, reference_table
+
+STEP_S = 0.0025
+
+
+def table(name, length_m, speed_mps=1.0, robots=1):
+    steps = math.ceil(length_m / speed_mps / STEP_S)
+    return reference_table(name, speed_mps, STEP_S, steps, robots)
+
+
+def test_straight_stays_on_its_line():
+    pose = table("straight", 5.0)[0].pose
+    np.testing.assert_allclose(pose[:, 0], np.arange(len(pose)) * STEP_S, atol=1e-12)
+    assert not pose[:, 1:].any()
+
+
+@pytest.mark.parametrize("speed_mps", [0.5, 1.0, 2.0])
+def test_arc_keeps_its_radius_and_closes(speed_mps):
+    made, _ = table("arc", 2 * math.pi * ARC_RADIUS_M, speed_mps)
+    radius = np.hypot(made.pose[:, 0], made.pose[:, 1] - ARC_RADIUS_M)
+    np.testing.assert_allclose(radius, ARC_RADIUS_M, atol=1e-9)
+    np.testing.assert_allclose(made.turn_rate_radps, speed_mps / ARC_RADIUS_M, rtol=1e-12)
+    assert np.hypot(*made.pose[-1, :2]) < 2 * speed_mps * STEP_S
+
+
+def test_figure_eight_is_bernoullis_lemniscate():
+    """(x² + y²)² = a² (x² − y²) about its node; the heading swings 135 degrees to either side."""
+    length = EIGHT_HALF_WIDTH_M * 5.244115108584239
+    made, _ = table("figure_eight", length)
+    end = round(length / STEP_S)
+    pose = made.pose[: end + 1]
+    np.testing.assert_allclose(pose[-1, :2], pose[0, :2], atol=5e-3)
+    assert pose[-1, 2] == pytest.approx(pose[0, 2], abs=2e-3)
+    # The path starts at its outermost point (a, 0) in the direction (0, 1), which in the table is
+    # the origin and the direction (1, 0).
+    x, y = EIGHT_HALF_WIDTH_M - pose[:, 1], pose[:, 0]
+    scale = EIGHT_HALF_WIDTH_M**4
+    residual = (x**2 + y**2) ** 2 - EIGHT_HALF_WIDTH_M**2 * (x**2 - y**2)
+    assert np.abs(residual).max() < 2e-3 * scale
+    np.testing.assert_allclose([pose[:, 2].max(), -pose[:, 2].min()], 0.75 * math.pi, rtol=1e-4)
+    assert np.abs(made.turn_rate_radps).max() == pytest.approx(3 / EIGHT_HALF_WIDTH_M, rel=1e-4)
+
+
+def test_zigzag_swings_sixty_degrees_to_either_side():
+    pose = table("zigzag", 16.0)[0].pose
+    assert np.degrees(pose[:, 2].max()) == pytest.approx(60.0, abs=1e-3)
+    assert np.degrees(pose[:, 2].min()) == pytest.approx(-60.0, abs=1e-3)
+    assert pose[-1, 0] > 5.0
+    assert abs(pose[:, 1]).max() < 1.0
+
+
+@pytest.mark.parametrize("name", ["straight", "arc", "figure_eight", "zigzag"])
+def test_speed_and_turn_rate_are_those_of_the_poses(name):
+    made, _ = table(name, 6.0, speed_mps=1.2)
+    step = np.diff(made.pose, axis=0)
+    np.testing.assert_allclose(step[:, 2] / STEP_S, made.turn_rate_radps, atol=1e-9)
+    arc = 1.2 * STEP_S
+    np.testing.assert_allclose(np.hypot(step[:, 0], step[:, 1]), arc, rtol=1e-4)
+    direction = np.arctan2(step[:, 1], step[:, 0])
+    np.testing.assert_allclose(direction, 0.5 * (made.pose[1:, 2] + made.pose[:-1, 2]), atol=1e-9)
+
+
+def test_robots_start_evenly_spread_over_the_period():
+    made, offset = table("figure_eight", 3.0, robots=4)
+    period = EIGHT_HALF_WIDTH_M * 5.244115108584239 / STEP_S
+    np.testing.assert_allclose(offset, period * np.arange(4) / 4, atol=0.5)
+    assert len(made.turn_rate_radps) == 1200 + offset[-1]
+    assert len(made.pose) == len(made.turn_rate_radps) + 1
+
+
+def test_unknown_reference_is_named():
+    with pytest.raises(ValueError, match=r"reference = 'spiral': must be one of straight, arc"):
+        table("spiral", 1.0)

@@ -1,0 +1,108 @@
+"""Every faulty scenario: one error with file, key, value and what is allowed."""
+
+from __future__ import annotations
+
+import pytest
+
+from hiersched.scenario import ScenarioError, find_scenario, load_scenario
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        # A misspelt key, in a section and as a section.
+        ("radio: {num_prbs: 25}", ["radio.num_prbs = 25", "unknown key", "num_prb,"]),
+        ("radios: {num_prb: 25}", ["radios = {'num_prb': 25}", "unknown key", "users, radio"]),
+        ("num_prb: 25", ["num_prb = 25", "unknown key", "users, radio"]),
+        # Out of range.
+        ("radio: {slot_s: 0.0}", ["radio.slot_s = 0.0", "must be greater than 0"]),
+        ("radio: {num_prb: 5000}", ["radio.num_prb = 5000", "less than or equal to 512"]),
+        ("traffic: {reliability: 95}", ["traffic.reliability = 95", "must be less than 1"]),
+        ("traffic: {rate_sensitivity: -0.1}", ["rate_sensitivity = -0.1", "equal to 0"]),
+        ("learning: {seeds: [1, -2]}", ["learning.seeds.1 = -2", "greater than or equal to 0"]),
+        ("learning: {seeds: []}", ["learning.seeds = []", "at least 1"]),
+        ("radio: {slot_s: .inf}", ["radio.slot_s", "inf"]),
+        ("radio: {slot_s: .nan}", ["radio.slot_s", "nan"]),
+        # Text where a number belongs, a number where text belongs, neither.
+        ("radio: {num_prb: many}", ["radio.num_prb = 'many'", "valid integer"]),
+        ("radio: {num_prb: '25'}", ["radio.num_prb = '25'", "valid integer"]),
+        ("radio: {num_prb: 25.5}", ["radio.num_prb = 25.5", "integer"]),
+        ("radio: {slot_s: yes}", ["radio.slot_s = True", "valid number"]),
+        ("radio: {slot_s: 1e-2}", ["radio.slot_s = '1e-2'", "write 1.0e-3"]),
+        ("radio: {slot_s: [0.01]}", ["radio.slot_s = [0.01]", "valid number"]),
+        ("radio: 25", ["radio = 25"]),
+        ("name: 3", ["name = 3", "valid string"]),
+        ("radio: {slot_s: 2024-01-01}", ["neither number, text, list nor mapping"]),
+        # Not one of the choices.
+        ("control: {plant: wireless}", ["control.plant = 'wireless'", "'network' or 'split'"]),
+        ("robot: {reference: circle}", ["robot.reference = 'circle'", "'figure_eight'"]),
+        ("evaluate: {policies: [pf, best]}", ["evaluate.policies.1 = 'best'", "'pf'"]),
+        ("name: A B", ["name = 'A B'", "pattern"]),
+        # Keys that do not fit each other.
+        (
+            "users: {num_urllc: 20}\ntraffic: {urllc_offered_mbps: 10.0}",
+            ["users.num_urllc + users.num_embb = 30", "at most radio.num_prb = 25"],
+        ),
+        ("users: {num_urllc: 9}", ["traffic.urllc_offered_mbps", "10 numbers", "one number or 9"]),
+        ("radio: {min_distance_m: 500.0}", ["min_distance_m = 500.0", "radio.cell_radius_m = 400"]),
+        ("radio: {slot_s: 0.009}", ["radio.slot_s = 0.009", "robot.substep_s = 0.0025"]),
+        ("control: {sampling_s: 0.001}", ["control.sampling_s = 0.001", "multiple of"]),
+        ("sweeps: {sampling_s: [0.02, 0.021]}", ["sweeps.sampling_s = 0.021", "multiple of"]),
+        ("robot: {window_s: 0.015}", ["robot.window_s = 0.015", "radio.slot_s = 0.01"]),
+        ("control: {method: razumikhin}", ["control.method = 'razumikhin'", "plant = 'split'"]),
+        ("learning: {episodes: 3}", ["learning.num_envs = 16", "learning.episodes = 3"]),
+        ("learning: {batch_size: 99999}", ["batch_size = 99999", "replay_capacity = 16000"]),
+        ("evaluate: {seeds: [101, 101]}", ["evaluate.seeds = [101, 101]", "every seed once"]),
+        ("sweeps: {policies: [pf, pf]}", ["sweeps.policies = ['pf', 'pf']", "every policy once"]),
+        ("sweeps: {duration_s: 0.005}", ["sweeps.duration_s = 0.005", "radio.slot_s = 0.01"]),
+        (
+            "gain_study: {violation_windows: [5, 23]}",
+            ["gain_study.violation_windows = 23", "num_windows = 22"],
+        ),
+        (
+            "gain_study: {calm_delay_s: [0.02, 0.005]}",
+            ["gain_study.calm_delay_s = [0.02, 0.005]", "lower bound first"],
+        ),
+        # Not a scenario at all.
+        ("radio: {num_prb: 25", ["not valid YAML", "line 1"]),
+        ("- radio", ["a scenario is a mapping of sections, not list"]),
+        ("radio: {num_prb: 25, num_prb: 30}", ["'num_prb' stands twice", "line 1"]),
+        ("radio: {num_prb: 25}\nradio: {slot_s: 0.02}", ["'radio' stands twice", "line 2"]),
+    ],
+)
+def test_faults_are_named(load_text, text, parts):
+    with pytest.raises(ScenarioError) as caught:
+        load_text(text)
+    message = str(caught.value)
+    assert message.startswith(f"{load_text.path}: ")
+    assert [part for part in parts if part not in message] == []
+
+
+def test_every_fault_is_listed_on_a_line_of_its_own(load_text):
+    with pytest.raises(ScenarioError) as caught:
+        load_text("radio: {num_prb: 0, slots: 1}\ntraffic: {load: -1.0}")
+    lines = str(caught.value).splitlines()
+    assert len(lines) == 3
+    assert all(line.startswith(f"{load_text.path}: ") for line in lines)
+
+
+def test_a_fault_of_the_defaults_names_the_defaults(tmp_path, config):
+    text = (config / "defaults.yaml").read_text(encoding="utf-8")
+    defaults, overlay = tmp_path / "defaults.yaml", tmp_path / "case.yaml"
+    overlay.write_text("users: {num_embb: 9}\n", encoding="utf-8")
+    defaults.write_text(text.replace("num_prb: 25", "num_prb: none"), encoding="utf-8")
+    with pytest.raises(ScenarioError, match=r"defaults\.yaml: radio\.num_prb = 'none'"):
+        load_scenario(overlay, defaults=defaults)
+    defaults.write_text(text.replace("  num_prb: 25", "  # 25"), encoding="utf-8")
+    with pytest.raises(ScenarioError, match=r"radio\.num_prb: missing"):
+        load_scenario(overlay, defaults=defaults)
+
+
+def test_missing_files_are_named(tmp_path, config, monkeypatch):
+    with pytest.raises(ScenarioError, match=r"nowhere\.yaml: no such file"):
+        load_scenario(tmp_path / "nowhere.yaml", defaults=config / "defaults.yaml")
+    monkeypatch.chdir(config.parent)
+    with pytest.raises(ScenarioError, match=r"no such scenario; there are: .*paper.*smoke"):
+        find_scenario("papr")
+    with pytest.raises(ScenarioError, match=r"gone\.yaml: cannot be read"):
+        load_scenario("smoke", defaults=tmp_path / "gone.yaml")

@@ -1,0 +1,46 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hiersched.randomness import world_keys
+from hiersched.simulator import Simulator
+
+
+def vary(scenario, sections):
+    """Replace values by section: vary(scenario, {"radio": {"num_prb": 7}})."""
+    return replace(
+        scenario,
+        **{name: replace(getattr(scenario, name), **new) for name, new in sections.items()},
+    )
+
+
+@pytest.fixture(scope="session")
+def make_simulator(smoke_scenario, nominal_gains):
+    """Simulator of the smoke scenario at full load, with the given values replaced."""
+
+    def make(num_envs=2, num_slots=60, *, keys=None, gains=None, **sections):
+        scenario = vary(smoke_scenario, sections)
+        return Simulator(
+            scenario,
+            nominal_gains(scenario) if gains is None else gains,
+            world_keys("test", 1, num_envs) if keys is None else np.asarray(keys, np.uint64),
+            num_slots,
+        )
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def assert_same_bits():
+    """Compare all fields, or the named ones, of two records as bytes."""
+
+    def check(got, expected, names=None):
+        for name in names or got._fields:
+            one, other = getattr(got, name), getattr(expected, name)
+            assert one.shape == other.shape, name
+            assert one.tobytes() == other.tobytes(), name
+
+    return check

@@ -1,0 +1,152 @@
+"""The robots in the slot loop: sampling, delays, the gain in force, stability, windows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hiersched.simulator.gains import LoopGains, plant_of
+
+STILL = {
+    "slip_speed_mps": 0.0,
+    "slip_turn_rate_radps": 0.0,
+    "noise_position_m": 0.0,
+    "noise_heading_rad": 0.0,
+}
+FREE = {"max_speed_mps": 1e9, "max_turn_rate_radps": 1e9}
+
+
+def forced(delay_s, num_envs, num_slots, robots=4):
+    return np.broadcast_to(np.asarray(delay_s, float), (num_envs, num_slots, robots)).copy()
+
+
+def test_command_uses_the_delayed_state_and_the_gain_of_its_delay(make_simulator, smoke_scenario):
+    """Samples every second slot: u = −K[T] x at the end of slot 2 (k − T) − 1, without noise."""
+    count = smoke_scenario.max_delay_steps + 1
+    rng = np.random.default_rng(1)
+    gains = LoopGains(local_gains=np.zeros((count, 2, 5)),
+                      network_gains=rng.normal(size=(count, 2, 5)))  # fmt: skip
+    quiet = {**STILL, "slip_speed_mps": 0.05, "slip_turn_rate_radps": 0.2, **FREE}
+    simulator = make_simulator(1, 60, gains=gains, robot=quiet)
+    delay_s = rng.uniform(0.0, 0.3, (1, 60, 4))
+    record = simulator.run_robots(delay_s)
+    steps = np.ceil(delay_s / 0.02).astype(int)
+    np.testing.assert_array_equal(record.delay_steps, np.minimum(steps, count - 1))
+    np.testing.assert_array_equal(record.gain_delay_steps, record.delay_steps)
+    np.testing.assert_array_equal(record.delay_capped, steps > count - 1)
+    assert record.delay_capped.any()
+    for k in range(30):
+        for robot in range(4):
+            T = record.delay_steps[0, 2 * k, robot]
+            late = 2 * (k - int(T)) - 1
+            x = record.state[0, late, robot] if late >= 0 else np.zeros(5)
+            expected = -gains.network_gains[T] @ x
+            # Held over both slots of the sample.
+            for slot in (2 * k, 2 * k + 1):
+                got = record.control[0, slot, robot]
+                np.testing.assert_allclose(got, expected, rtol=1e-12, atol=1e-15)
+
+
+def test_nominal_gain_ignores_the_delay(make_simulator, smoke_scenario):
+    count = smoke_scenario.max_delay_steps + 1
+    changing = np.random.default_rng(2).normal(size=(count, 2, 5)) * 0.1
+    zeros = np.zeros_like(changing)
+    constant = np.repeat(changing[:1], count, axis=0)
+    delay_s = np.random.default_rng(3).uniform(0.0, 0.2, (1, 40, 4))
+    records = [
+        make_simulator(
+            1, 40, gains=LoopGains(local_gains=zeros, network_gains=gains), control={"gain": kind}
+        ).run_robots(delay_s)
+        for gains, kind in ((changing, "nominal"), (constant, "adjusted"), (changing, "adjusted"))
+    ]
+    np.testing.assert_array_equal(records[0].state, records[1].state)
+    assert not np.array_equal(records[0].state, records[2].state)
+
+
+def test_saturation_is_counted_and_holds(make_simulator):
+    limits = {"max_speed_mps": 0.01, "max_turn_rate_radps": 1e9}
+    record = make_simulator(1, 60, robot=limits).run_robots(forced(0.02, 1, 60))
+    assert np.abs(record.control[..., 0]).max() == 0.01
+    hit = np.abs(record.control[..., 0]) == 0.01
+    np.testing.assert_array_equal(record.control_saturated[0, ::2], hit[0, ::2])
+    assert not record.control_saturated[0, 1::2].any()
+    assert 0 < record.control_saturated.sum() < record.control_saturated[0, ::2].size
+
+
+@pytest.mark.parametrize("reference", ["straight", "arc", "figure_eight", "zigzag"])
+def test_without_slip_and_noise_robots_stay_on_their_reference(make_simulator, reference):
+    simulator = make_simulator(1, 300, robot={**STILL, "reference": reference})
+    record = simulator.run_robots(forced(0.05, 1, 300))
+    assert record.tracking_error_m.max() < 1e-6
+
+
+def growth(make_simulator, delay_steps, num_slots=800):
+    """Factor a sample of the error of a disturbed robot, and the lifted linear system's radius."""
+    robot = {**STILL, **FREE, "reference": "straight"}
+    simulator = make_simulator(1, num_slots, robot=robot, control={"weight": 700.0})
+    simulator.state.robots.state[...] = 1e-9 * np.array([1.0, 1.0, 1.0, 0.0, 0.0])
+    record = simulator.run_robots(forced(delay_steps * 0.02, 1, num_slots))
+    size = np.abs(record.state[0, :, 0]).max(axis=-1)
+    factor = (size[-100:].max() / size[200:300].max()) ** (2 / (num_slots - 300))
+    plant = plant_of(simulator.scenario)
+    K = simulator.constants.robots.network_gain[delay_steps]
+    lifted = np.eye(5 * (delay_steps + 1), k=-5)
+    lifted[:5, :5] = plant.A
+    lifted[:5, -5:] -= plant.B @ K
+    return factor, np.abs(np.linalg.eigvals(lifted)).max()
+
+
+def test_nominal_loop_is_stable_at_three_samples_and_unstable_at_four(make_simulator):
+    """q = 700, h = 20 ms; the nonlinear loop grows at the linear one's spectral radius."""
+    for delay_steps, stable in ((0, True), (3, True), (4, False), (5, False)):
+        factor, radius = growth(make_simulator, delay_steps)
+        assert (radius < 1) == stable
+        assert (factor < 1) == stable
+        if delay_steps >= 3:
+            assert factor == pytest.approx(radius, abs=2e-3)
+
+
+def test_index_of_a_window_is_that_of_its_steps(make_simulator):
+    """Slots of one step, so that the record has every step; one window of 400."""
+    simulator = make_simulator(1, 401, robot=STILL, radio={"slot_s": 0.0025})
+    simulator.state.robots.state[...] = [0.03, -0.05, 0.2, 0.0, 0.1]
+    start = simulator.state.robots.state[0].copy()
+    record = simulator.run_robots(forced(0.02, 1, 401))
+    robots = simulator.constants.robots
+    first = simulator.scenario.robot.initial_dexterity_index
+    np.testing.assert_array_equal(record.dexterity_index[0, :400], first)
+    state, control, reference = (
+        field[0, :400] for field in (record.state, record.control, record.reference)
+    )
+    # Mean speed over a step: the lag decays from the speed before it towards the command.
+    before = np.concatenate([start[None], state[:-1]])[..., 3:]
+    speed = reference[..., 3:] + control + (before - control) * robots.lag_mean
+    te_cm = 100 * np.sqrt((state[..., :2] ** 2).sum(axis=-1).mean(axis=0))
+    oe_deg = np.degrees(np.abs(state[..., 2]).mean(axis=0))
+    curvature = (np.abs(speed[..., 1]) / np.maximum(np.abs(speed[..., 0]), 0.05)).mean(axis=0)
+    expected = 0.4 * (1 - te_cm / 10) + 0.3 * (1 - oe_deg / 180) + 0.3 * (1 - curvature)
+    assert (te_cm < 10).all()
+    assert (curvature < 1).all()
+    np.testing.assert_allclose(record.dexterity_index[0, 400], expected, rtol=1e-12)
+
+
+def test_slip_and_noise_have_their_spread(make_simulator):
+    """Ornstein–Uhlenbeck: standard deviation 0.05 m/s and 0.2 rad/s, correlation e^(−τ/0.3)."""
+    simulator = make_simulator(50, 400, robot=FREE)
+    slips = []
+    for _ in range(400):
+        simulator.run_robots(forced(0.02, 50, 1))
+        slips.append(simulator.state.robots.slip.copy())
+    slip = np.array(slips)[150:]  # (T, E, R, 2)
+    np.testing.assert_allclose(slip.std(axis=(0, 1, 2)), [0.05, 0.2], rtol=0.05)
+    for lag in (1, 30):
+        pair = (slip[lag:] * slip[:-lag]).mean(axis=(0, 1, 2)) / (slip**2).mean(axis=(0, 1, 2))
+        np.testing.assert_allclose(pair, np.exp(-lag * 0.01 / 0.3), atol=0.05)
+
+
+def test_robots_alone_are_those_of_the_network(make_simulator):
+    """Fed with the delays that the network produced, they do the same."""
+    whole = make_simulator().run("pf")
+    alone = make_simulator().run_robots(whole.network_delay_s)
+    for name in ("state", "control", "delay_steps", "tracking_error_m", "reference"):
+        np.testing.assert_array_equal(getattr(alone, name), getattr(whole, name))
