@@ -78,10 +78,16 @@ def _times(scenario: Scenario) -> list[str]:
 def _learning(scenario: Scenario) -> list[str]:
     learning = scenario.learning
     faults = []
-    if learning.episodes < learning.num_envs:
+    if learning.episodes % learning.num_envs:
         faults.append(
-            f"learning.num_envs = {learning.num_envs}: at most "
-            f"learning.episodes = {learning.episodes}"
+            f"learning.episodes = {learning.episodes}: must be a multiple of "
+            f"learning.num_envs = {learning.num_envs}"
+        )
+    round_slots = learning.num_envs * learning.slots_per_episode
+    if learning.replay_capacity < round_slots:
+        faults.append(
+            f"learning.replay_capacity = {learning.replay_capacity}: at least "
+            f"learning.num_envs * learning.slots_per_episode = {round_slots}"
         )
     if learning.batch_size > learning.replay_capacity:
         faults.append(
