@@ -31,6 +31,7 @@ FIGURES = (
     "fig7_dexterity",
     "fig8_violations",
     "figX_load",
+    "figX_gain",
 )
 TABLES = (
     "table1_parameters",

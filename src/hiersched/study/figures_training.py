@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -45,12 +46,27 @@ def training_curve(training: pd.DataFrame, measure: str, block: int) -> pd.DataF
 def draw_rewards(training: pd.DataFrame, scenario: Scenario) -> Figure:
     """Draw each slice's reward per slot over the episodes of training."""
     figure, axes = new_figure()
+    axis_note = ""
     for panel, name, letter in zip(axes, ("embb", "urllc"), "ab", strict=True):
-        _draw_curve(panel, training, f"{name}_reward", SLICES[name], scenario)
+        curve = _draw_curve(panel, training, f"{name}_reward", SLICES[name], scenario)
         panel.set_title(f"({letter}) {SLICES[name].label} reward")
         panel.set_ylabel("reward of the slice per slot [1]")
-    caption(figure, _note(training, scenario))
+        if _stretch(panel, curve):
+            axis_note = " Axes: linear near 0 (shaded), logarithmic beyond."
+    caption(figure, _note(training, scenario) + axis_note)
     return figure
+
+
+def _stretch(panel: Axes, curve: pd.DataFrame) -> bool:
+    """Take a symmetric logarithmic axis where the first episodes would hide all later ones."""
+    sizes = curve["mean"].abs()
+    late = float(sizes.iloc[len(sizes) // 2 :].median())
+    if late == 0.0 or sizes.max() < LOG_RANGE * late:
+        return False
+    threshold = 10.0 ** np.floor(np.log10(late))
+    panel.set_yscale("symlog", linthresh=threshold)
+    panel.axhspan(-threshold, threshold, color="0.93", zorder=0)
+    return True
 
 
 def draw_queues(
