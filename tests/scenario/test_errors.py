@@ -45,6 +45,15 @@ from hiersched.scenario import ScenarioError, find_scenario, load_scenario
         ),
         ("users: {num_urllc: 9}", ["traffic.urllc_offered_mbps", "10 numbers", "one number or 9"]),
         ("radio: {min_distance_m: 500.0}", ["min_distance_m = 500.0", "radio.cell_radius_m = 400"]),
+        (
+            "radio: {tx_power_dbm: -300.0}",
+            ["tx_power_dbm = -300.0", "from -202.041 dB", "within -80 dB"],
+        ),
+        ("radio: {noise_dbm: -400}", ["radio.noise_dbm = -400", "to 432.041 dB", "to 300 dB"]),
+        (
+            "radio: {path_loss: macro, cell_radius_m: 80000.0}",
+            ["to 142.041 dB", "path loss and shadowing included", "within -80 dB"],
+        ),
         ("radio: {slot_s: 0.009}", ["radio.slot_s = 0.009", "robot.substep_s = 0.0025"]),
         ("control: {sampling_s: 0.001}", ["control.sampling_s = 0.001", "multiple of"]),
         ("sweeps: {sampling_s: [0.02, 0.021]}", ["sweeps.sampling_s = 0.021", "multiple of"]),

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 from hiersched.scenario.schema import Scenario
+
+LEAST_SNR_DB = -80.0
+"""Below it, a PRB in a deep fade could carry exactly 0 bit/s, and no logarithm of a rate exists."""
+GREATEST_SNR_DB = 300.0
 
 
 def inconsistencies(scenario: Scenario) -> list[str]:
     """Every fault between keys, as ``key = value: what is allowed``; empty when there is none."""
     return [
         *_users(scenario),
+        *_link_budget(scenario),
         *_times(scenario),
         *_learning(scenario),
         *_studies(scenario),
@@ -39,6 +45,24 @@ def _users(scenario: Scenario) -> list[str]:
             f"{radio.cell_radius_m}"
         )
     return faults
+
+
+def _link_budget(scenario: Scenario) -> list[str]:
+    radio = scenario.radio
+    scales = (radio.rayleigh_scale, *scenario.sweeps.rayleigh_scale)
+    best_db = radio.tx_power_dbm - radio.noise_dbm + 20.0 * math.log10(max(scales))
+    least_db = radio.tx_power_dbm - radio.noise_dbm + 20.0 * math.log10(min(scales))
+    if radio.path_loss == "macro":
+        # A normal shadowing draw from a double stays within nine standard deviations.
+        edge_loss_db = 128.1 + 37.6 * math.log10(radio.cell_radius_m / 1000.0)
+        least_db -= edge_loss_db + 9.0 * radio.shadowing_db
+    if least_db >= LEAST_SNR_DB and best_db <= GREATEST_SNR_DB:
+        return []
+    return [
+        f"radio.tx_power_dbm = {radio.tx_power_dbm}, radio.noise_dbm = {radio.noise_dbm}: the "
+        f"signal-to-noise ratio goes from {least_db:.6g} dB to {best_db:.6g} dB (Rayleigh scale, "
+        f"path loss and shadowing included), must stay within {LEAST_SNR_DB:g} dB to {GREATEST_SNR_DB:g} dB"
+    ]
 
 
 def _is_multiple(value: float, unit: float) -> bool:
