@@ -61,7 +61,8 @@ def _link_budget(scenario: Scenario) -> list[str]:
     return [
         f"radio.tx_power_dbm = {radio.tx_power_dbm}, radio.noise_dbm = {radio.noise_dbm}: the "
         f"signal-to-noise ratio goes from {least_db:.6g} dB to {best_db:.6g} dB (Rayleigh scale, "
-        f"path loss and shadowing included), must stay within {LEAST_SNR_DB:g} dB to {GREATEST_SNR_DB:g} dB"
+        f"path loss and shadowing included), must stay within {LEAST_SNR_DB:g} dB to "
+        f"{GREATEST_SNR_DB:g} dB"
     ]
 
 
