@@ -22,7 +22,8 @@ SLOTS = 150
 def log(request, tmp_path_factory, make_simulator):
     """Log of a run that has queues, delays and late packets."""
     simulator = make_simulator(1, SLOTS, traffic={"load": 1.1})
-    fields = simulator.run("pf").environment(0)
+    multipliers = np.array([[0.0, 0.5, 1.0, 2.0]])
+    fields = simulator.run("pf", multipliers=multipliers).environment(0)
     path = tmp_path_factory.mktemp("log") / "run.mcap"
     scenario = simulator.scenario
     attachments = {"scenario.yaml": scenario_to_yaml(scenario).encode()}
