@@ -38,6 +38,6 @@ if not os.environ.get("NUMBA_CACHE_DIR"):
 kernel = partial(njit, error_model="numpy", _nrt=False, cache=True)
 """Decorator of the kernels, compiled once a machine.
 
-No reference counting: the kernels allocate nothing, and counting every view of an array took a third
-of the slot loop's time. Division by zero is that of IEEE 754.
+No reference counting: the kernels allocate nothing, and counting every view of an array took a
+third of the slot loop's time. Division by zero is that of IEEE 754.
 """
