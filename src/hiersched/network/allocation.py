@@ -172,6 +172,14 @@ def assign_one_each(scratch: AllocationScratch) -> None:
 
 
 @kernel(fastmath=_NO_NAN)
+def _largest(values: NDArray[np.float32]) -> float:
+    largest = values[0]
+    for i in range(values.shape[0]):
+        largest = max(largest, values[i])
+    return float(largest)
+
+
+@kernel(fastmath=_NO_NAN)
 def _make_non_negative(cost: NDArray[np.float64]) -> None:
     least = cost[0]
     for i in range(cost.shape[0]):
@@ -191,27 +199,26 @@ def _first_costs(
 ) -> None:
     """Cost of each PRB as a user's only one: the utility lost against the greatest of all."""
     num_users, num_prb = rate.shape
+    if utility == UTILITY_LAGRANGIAN:
+        for user in range(num_users):
+            for k in range(num_prb):
+                cost[user, k] = user_lagrangian(terms, user, np.float64(rate[user, k]))
+        _make_non_negative(cost.reshape(-1))
+        return
+    worth = rate
     if utility == UTILITY_LOG:
         # One flat loop: rows are too short for full vectors.
+        worth = log_rate
         flat = rate.reshape(-1)
         flat_log = log_rate.reshape(-1)
         for i in range(flat.shape[0]):
             flat_log[i] = ln_f32(flat[i])
+    largest = _largest(worth.reshape(-1))
     for user in range(num_users):
-        row = cost[user]
         w = weight[user]
-        if utility == UTILITY_LOG:
-            logs = log_rate[user]
-            for k in range(num_prb):
-                row[k] = -w * np.float64(logs[k])
-        elif utility == UTILITY_LINEAR:
-            rates = rate[user]
-            for k in range(num_prb):
-                row[k] = -w * np.float64(rates[k])
-        else:
-            for k in range(num_prb):
-                row[k] = user_lagrangian(terms, user, np.float64(rate[user, k]))
-    _make_non_negative(cost.reshape(-1))
+        row = worth[user]
+        for k in range(num_prb):
+            cost[user, k] = w * (largest - np.float64(row[k]))
 
 
 @njit(inline="always")

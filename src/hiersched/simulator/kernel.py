@@ -15,7 +15,7 @@ from hiersched.network.lyapunov import (
 )
 from hiersched.network.queues import serve_slot
 from hiersched.network.schedulers import schedule_slot
-from hiersched.network.traffic import poisson_quantile
+from hiersched.network.traffic import poisson_quantiles
 from hiersched.numerics import F32
 from hiersched.radio.channel import prb_rates
 from hiersched.randomness import (
@@ -206,6 +206,18 @@ def _serve(
         user_of_prb = np.int64(owner[prb])
         rate[user_of_prb] += np.float64(state.prb_rate_mbps[env, user_of_prb, prb])
         count[user_of_prb] += 1
+    for user in range(num_users):
+        wanted = constants.offered_mbps[user] - constants.rate_sensitivity[user] * rate[user]
+        record.arrival_clamped[env, index, user] = 1 if wanted < 0.0 else 0
+        scratch.mean_batches[user] = (
+            max(0.0, wanted) * constants.arrival_packets_per_mbps[user] / constants.batch_packets
+        )
+    poisson_quantiles(
+        record.arrival_uniform[env, index],
+        scratch.mean_batches,
+        scratch.poisson,
+        scratch.batches,
+    )
     slot = state.slot[env]
     drift_urllc = 0.0
     drift_embb = 0.0
@@ -214,13 +226,7 @@ def _serve(
     priced = 0.0
     for user in range(num_users):
         r = rate[user]
-        wanted = constants.offered_mbps[user] - constants.rate_sensitivity[user] * r
-        record.arrival_clamped[env, index, user] = 1 if wanted < 0.0 else 0
-        mean = max(0.0, wanted) * constants.arrival_packets_per_mbps[user]
-        batches = poisson_quantile(
-            record.arrival_uniform[env, index, user], mean / constants.batch_packets
-        )
-        arrivals = batches * constants.batch_packets
+        arrivals = scratch.batches[user] * constants.batch_packets
         service = offered_service(
             r, terms.service_offset_mbps[user], constants.service_packets_per_mbps
         )
@@ -231,7 +237,7 @@ def _serve(
             arrivals,
             service,
             constants.deadline_slots[user],
-            state.arrived[env, user],
+            state.arrived[env, :, user],
             state.head[env, user],
         )
         record.arrivals_packets[env, index, user] = arrivals

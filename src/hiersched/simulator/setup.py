@@ -71,7 +71,7 @@ class SlotState(NamedTuple):
     hol_delay_s: NDArray[np.float64]  # (E, U)
     average_rate_mbps: NDArray[np.float64]  # (E, U)
     rate_mbps: NDArray[np.float64]  # (E, U) of the last slot
-    arrived: NDArray[np.int64]  # (E, U, T + 1)
+    arrived: NDArray[np.int64]  # (E, T + 1, U): a slot's users side by side in memory
     head: NDArray[np.int64]  # (E, U)
     robots: RobotState
 
@@ -83,6 +83,9 @@ class SlotScratch(NamedTuple):
     normal_words: NDArray[np.uint32]
     normals: NDArray[np.float32]
     weight: NDArray[np.float64]
+    mean_batches: NDArray[np.float64]
+    poisson: NDArray[np.float64]
+    batches: NDArray[np.int64]
     terms: UserTerms
     allocation: AllocationScratch
 
@@ -263,7 +266,7 @@ def initial_state(scenario: Scenario, keys: NDArray[np.uint64], num_slots: int) 
         hol_delay_s=np.zeros((num_envs, num_users)),
         average_rate_mbps=np.zeros((num_envs, num_users)),
         rate_mbps=np.zeros((num_envs, num_users)),
-        arrived=np.zeros((num_envs, num_users, num_slots + 1), np.int64),
+        arrived=np.zeros((num_envs, num_slots + 1, num_users), np.int64),
         head=np.zeros((num_envs, num_users), np.int64),
         robots=robot_state(
             num_envs,
@@ -283,6 +286,9 @@ def slot_scratch(constants: SlotConstants) -> SlotScratch:
         normal_words=np.zeros((4, (6 * constants.num_urllc + 3) // 4), np.uint32),
         normals=np.zeros((3, 3 * constants.num_urllc), np.float32),
         weight=np.zeros(num_users),
+        mean_batches=np.zeros(num_users),
+        poisson=np.zeros((2, num_users)),
+        batches=np.zeros(num_users, np.int64),
         terms=UserTerms(
             backlog_packets=np.zeros(num_users),
             offered_mbps=constants.offered_mbps,
