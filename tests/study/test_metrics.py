@@ -48,7 +48,6 @@ def test_measures_of_a_log_with_known_content(
     fields["arrival_clamped"][:8, 1] = 1
     fields["control_saturated"][0, 0] = 2
     fields["drift_urllc"][:], fields["penalty_embb"][:] = 1.0, 0.5
-    fields["multiplier"][:, 0], fields["constraint"][:, 0] = 2.0, -0.25
     label = {"policy": "edf", "seed": "7", "stage": "sweep", "axis": "load", "value": "1.05"}
     log = write_log(tmp_path / "a.mcap", fields, metadata=label)
     got = run_metrics(log, tiny)
@@ -81,7 +80,27 @@ def test_measures_of_a_log_with_known_content(
     assert got.delay_capped_share == pytest.approx(4 / 80)
     assert got.arrival_clamped_share == pytest.approx(8 / 80)
     assert got.control_saturations_per_s == pytest.approx(2 / (2 * 0.4))
-    assert got.lagrangian_cost == pytest.approx(1.0 + 0.5 * 100.0 + 2.0 * 0.25)
+    assert got.drift_plus_penalty_cost == pytest.approx(1.0 + 0.5 * 100.0)
+
+
+def test_the_cost_does_not_credit_a_policy_with_its_own_multiplier(
+    tiny: Scenario, tmp_path: Path, write_log: Callable[..., Path], known_fields: Fields
+) -> None:
+    rng = np.random.default_rng(3)
+    for name in ("drift_urllc", "drift_embb", "penalty_urllc", "penalty_embb", "constraint"):
+        known_fields[name] = rng.normal(size=known_fields[name].shape)
+    priced = dict(known_fields)
+    for name in ("multiplier", "reward_urllc", "reward_embb"):
+        priced[name] = rng.uniform(1.0, 9.0, known_fields[name].shape)
+    logs = [
+        write_log(tmp_path / f"{number}.mcap", fields)
+        for number, fields in enumerate((known_fields, priced))
+    ]
+    plain, own = (run_metrics(log, tiny).drift_plus_penalty_cost for log in logs)
+    assert own == plain
+    penalty = known_fields["penalty_urllc"] + known_fields["penalty_embb"]
+    drift = known_fields["drift_urllc"] + known_fields["drift_embb"]
+    assert plain == pytest.approx(np.mean(drift + tiny.objective.penalty_weight * penalty))
 
 
 def test_a_share_at_the_allowed_one_is_no_violation(

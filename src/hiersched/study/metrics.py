@@ -63,7 +63,7 @@ class RunMetrics:
     delay_capped_share: float
     arrival_clamped_share: float
     control_saturations_per_s: float
-    lagrangian_cost: float
+    drift_plus_penalty_cost: float
 
 
 def run_metrics(path: str | os.PathLike[str], scenario: Scenario) -> RunMetrics:
@@ -114,7 +114,7 @@ def run_metrics(path: str | os.PathLike[str], scenario: Scenario) -> RunMetrics:
         **_delay_quantiles("embb", sojourn_s[urllc:]),
         **_robot_measures(robots, scenario, slot_s),
         arrival_clamped_share=_mean(delay["arrival_clamped"][:, :urllc]),
-        lagrangian_cost=_lagrangian(delay, scenario),
+        drift_plus_penalty_cost=_drift_plus_penalty(delay, scenario),
     )
 
 
@@ -243,9 +243,12 @@ def _robot_measures(
     }
 
 
-def _lagrangian(delay: dict[str, NDArray[Any]], scenario: Scenario) -> float:
-    """Return the mean over slots of L = drift + V h - sum of lambda y."""
-    priced = (delay["multiplier"] * delay["constraint"]).reshape(len(delay["slot"]), -1).sum(axis=1)
+def _drift_plus_penalty(delay: dict[str, NDArray[Any]], scenario: Scenario) -> float:
+    """Return the mean over slots of drift + V penalty, of both slices.
+
+    Without the priced constraint: multipliers differ between policies, so with it a policy would
+    be credited with its own.
+    """
     penalty = delay["penalty_urllc"] + delay["penalty_embb"]
     drift = delay["drift_urllc"] + delay["drift_embb"]
-    return _mean(drift + scenario.objective.penalty_weight * penalty - priced)
+    return _mean(drift + scenario.objective.penalty_weight * penalty)

@@ -42,7 +42,7 @@ TRAILING_MEASURES = (
     "delay_capped_share",
     "arrival_clamped_share",
     "control_saturations_per_s",
-    "lagrangian_cost",
+    "drift_plus_penalty_cost",
 )
 COMPARED = (
     "urllc_late_share",
@@ -54,7 +54,7 @@ COMPARED = (
     "urllc_delay_p99_s",
     "tracking_error_cm",
     "off_track_share",
-    "lagrangian_cost",
+    "drift_plus_penalty_cost",
 )
 
 
