@@ -6,11 +6,15 @@ import re
 import subprocess
 import sys
 import tomllib
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import pytest
 import yaml
+
+from hiersched.runs.paths import FIGURES, TABLES
+from hiersched.scenario import load_scenario
 
 HEAVY = ("torch", "cvxpy", "matplotlib", "pandas", "control", "snakemake")
 MAX_FILE_BYTES = 1024 * 1024
@@ -136,7 +140,36 @@ def test_readme_names_every_figure(project_root: Path) -> None:
         "fig2_rewards fig3_queues fig4_rate_cdf fig5_rayleigh fig6_sampling fig7_dexterity "
         "fig8_violations figX_load table1_parameters table2_gain table3_rate policies"
     )
-    assert [name for name in expected.split() if f"`{name}`" not in text] == []
+    assert {*expected.split()} <= {*FIGURES, *TABLES}
+    assert [name for name in (*FIGURES, *TABLES) if f"`{name}`" not in text] == []
+
+
+def test_readme_examples_import_what_exists(project_root: Path) -> None:
+    """Every Python example compiles, and each name that it imports is there."""
+    text = (project_root / "README.md").read_text(encoding="utf-8")
+    examples = re.findall(r"^```python\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
+    assert examples
+    for example in examples:
+        compile(example, "README.md", "exec")
+        imports = re.findall(r"^(?:import|from) .*$", example, flags=re.MULTILINE)
+        exec("\n".join(imports), {})
+
+
+def test_readme_scenario_is_valid(project_root: Path, tmp_path: Path) -> None:
+    text = (project_root / "README.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"^```yaml\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
+    file = tmp_path / "mine.yaml"
+    file.write_text(example, encoding="utf-8")
+    assert load_scenario(file).name == "mine"
+
+
+def test_notes_name_modules_that_exist(project_root: Path) -> None:
+    text = (project_root / "docs" / "paper_notes.md").read_text(encoding="utf-8")
+    named = {name: name for name in re.findall(r"`(hiersched\.[a-z_.]+)`", text)}
+    for first, second in re.findall(r"`(hiersched\.[a-z_.]+)`, `(\.[a-z_]+)`", text):
+        named[f"{first} {second}"] = first.rpartition(".")[0] + second
+    assert named
+    assert [text for text, module in named.items() if find_spec(module) is None] == []
 
 
 def test_environment_is_pinned(project_root: Path) -> None:
