@@ -28,7 +28,7 @@ def quiet(slots: int) -> dict[str, np.ndarray]:
         "hol_delay_s": np.zeros((slots, 4)),
         "delay_capped": np.zeros((slots, 2), np.uint32),
         "network_delay_s": np.zeros((slots, 2)),
-        "gain_delay_steps": np.zeros((slots, 2), np.uint32),
+        "delay_steps": np.zeros((slots, 2), np.uint32),
         "control_saturated": np.zeros((slots, 2), np.uint32),
     }
 
@@ -60,7 +60,7 @@ def test_gains_without_certificate_are_reported(tiny: Scenario, designed) -> Non
     schedule, _ = load_gains(designed / "gains" / "schedule.json", tiny)
     broken = GainSchedule(**{**vars(schedule), "status": ("nominal", "nominal", "infeasible")})
     fields = quiet(3)
-    fields["gain_delay_steps"][1:, 1] = 2
+    fields["delay_steps"][1:, 1] = 2
     (event,) = slot_events(tiny, broken, fields)
     assert (event.slot, event.name) == (1, "gain")
     assert event.message == (

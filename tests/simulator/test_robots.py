@@ -32,7 +32,9 @@ def test_command_uses_the_delayed_state_and_the_gain_of_its_delay(make_simulator
     record = simulator.run_robots(delay_s)
     steps = np.ceil(delay_s / 0.02).astype(int)
     np.testing.assert_array_equal(record.delay_steps, np.minimum(steps, count - 1))
-    np.testing.assert_array_equal(record.gain_delay_steps, record.delay_steps)
+    # The gain in force is that of the last sample: slots without one keep it.
+    np.testing.assert_array_equal(record.gain_delay_steps[:, 0::2], record.delay_steps[:, 0::2])
+    np.testing.assert_array_equal(record.gain_delay_steps[:, 1::2], record.delay_steps[:, 0::2])
     np.testing.assert_array_equal(record.delay_capped, steps > count - 1)
     assert record.delay_capped.any()
     for k in range(30):
@@ -45,6 +47,23 @@ def test_command_uses_the_delayed_state_and_the_gain_of_its_delay(make_simulator
             for slot in (2 * k, 2 * k + 1):
                 got = record.control[0, slot, robot]
                 np.testing.assert_allclose(got, expected, rtol=1e-12, atol=1e-15)
+
+
+def test_the_log_says_which_gain_is_in_force(make_simulator, smoke_scenario):
+    """0 stands for the nominal gain: configured so, or K̂(T) = K, as where no gain is feasible."""
+    count = smoke_scenario.max_delay_steps + 1
+    network = np.random.default_rng(4).normal(size=(count, 2, 5)) * 0.1
+    network[[1, 3]] = network[0]
+    gains = LoopGains(local_gains=np.zeros_like(network), network_gains=network)
+    delay_s = np.repeat(np.random.default_rng(5).uniform(0.0, 0.2, (1, 20, 4)), 2, axis=1)
+    nominal = make_simulator(1, 40, gains=gains, control={"gain": "nominal"}).run_robots(delay_s)
+    adjusted = make_simulator(1, 40, gains=gains).run_robots(delay_s)
+    assert not nominal.gain_delay_steps.any()
+    steps = adjusted.delay_steps
+    expected = np.where((steps == 1) | (steps == 3), 0, steps)
+    np.testing.assert_array_equal(adjusted.gain_delay_steps, expected)
+    assert (steps == 3).any()
+    assert (expected > 3).any()
 
 
 def test_nominal_gain_ignores_the_delay(make_simulator, smoke_scenario):

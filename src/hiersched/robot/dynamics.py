@@ -23,9 +23,10 @@ NUM_INPUTS = 2
 class RobotConstants(NamedTuple):
     """What does not change during a run.
 
-    `local_gain` and `network_gain`, shape (T_max + 1, 2, 5), act on the present and on the delayed
-    measurement; `turn_rate`, `half_cos`, `half_sin` and `chord`, shape (N,), describe the reference
-    in each step, `offset`, shape (R,), is where each robot starts in them.
+    `adjusted_delay_steps`, shape (T_max + 1,), is T where the gain for T is adjusted, 0 where it is
+    nominal. `local_gain` and `network_gain`, shape (T_max + 1, 2, 5), act on the present and on the
+    delayed measurement; `turn_rate`, `half_cos`, `half_sin` and `chord`, shape (N,), describe the
+    reference in each step, `offset`, shape (R,), is where each robot starts in them.
     """
 
     step_s: float
@@ -46,6 +47,7 @@ class RobotConstants(NamedTuple):
     max_delay_steps: int
     local_gain: NDArray[np.float64]
     network_gain: NDArray[np.float64]
+    adjusted_delay_steps: NDArray[np.uint32]
     speed_mps: float
     turn_rate: NDArray[np.float64]
     half_cos: NDArray[np.float64]
@@ -59,7 +61,8 @@ class RobotState(NamedTuple):
     """What evolves, one row an environment.
 
     State (E, R, 5), slip (E, R, 2), control (E, R, 2), the ring of measured states `history`
-    (E, R, T_max + 1, 5), sums over the window (E, R, 3), the dexterity index in force (E, R).
+    (E, R, T_max + 1, 5), sums over the window (E, R, 3), the dexterity index in force (E, R) and
+    the delay whose adjusted gain is in force, 0 for the nominal gain (E, R).
     """
 
     state: NDArray[np.float64]
@@ -68,6 +71,7 @@ class RobotState(NamedTuple):
     history: NDArray[np.float64]
     window_sums: NDArray[np.float64]
     dexterity_index: NDArray[np.float64]
+    gain_delay_steps: NDArray[np.uint32]
 
 
 def robot_state(
@@ -81,6 +85,7 @@ def robot_state(
         history=np.zeros((num_envs, num_robots, max_delay_steps + 1, NUM_STATES)),
         window_sums=np.zeros((num_envs, num_robots, 3)),
         dexterity_index=np.full((num_envs, num_robots), initial_dexterity_index),
+        gain_delay_steps=np.zeros((num_envs, num_robots), np.uint32),
     )
 
 

@@ -93,7 +93,7 @@ def _infeasible_gains(
     infeasible = np.array([status == "infeasible" for status in schedule.status])
     if not infeasible.any():
         return
-    steps = fields["gain_delay_steps"]
+    steps = fields["delay_steps"]
     for robot, start, stop in stretches(infeasible[steps]):
         yield Event(
             start,

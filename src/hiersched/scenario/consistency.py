@@ -5,11 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from hiersched.scenario.schema import Scenario
+import numpy as np
+
+from hiersched.scenario.schema import Scenario, delay_steps
 
 LEAST_SNR_DB = -80.0
 """Below it, a PRB in a deep fade could carry exactly 0 bit/s, and no logarithm of a rate exists."""
 GREATEST_SNR_DB = 300.0
+MAX_MEAN_BATCHES = 600.0
+"""The Poisson quantile's limit (`network.traffic.MAX_MEAN`; a test holds them equal), without the
+half second that importing the kernels takes."""
+MAX_DELAY_STEPS = 200
 
 
 def inconsistencies(scenario: Scenario) -> list[str]:
@@ -18,6 +24,7 @@ def inconsistencies(scenario: Scenario) -> list[str]:
         *_users(scenario),
         *_link_budget(scenario),
         *_times(scenario),
+        *_arrivals(scenario),
         *_learning(scenario),
         *_studies(scenario),
     ]
@@ -92,11 +99,42 @@ def _times(scenario: Scenario) -> list[str]:
             f"robot.window_s = {scenario.robot.window_s}: must be a multiple of "
             f"control.sampling_s = {scenario.control.sampling_s}"
         )
+    longest = max(
+        delay_steps(scenario.control.max_delay_s, sampling_s)
+        for sampling_s in (scenario.control.sampling_s, *scenario.sweeps.sampling_s)
+    )
+    if longest > MAX_DELAY_STEPS:
+        faults.append(
+            f"control.max_delay_s = {scenario.control.max_delay_s}: {longest} samples at the "
+            f"shortest sampling interval, at most {MAX_DELAY_STEPS} (one gain is designed for each)"
+        )
     if scenario.control.method == "razumikhin" and scenario.control.plant == "network":
         faults.append(
             "control.method = 'razumikhin': needs control.plant = 'split' (a plant with an "
             "eigenvalue on the unit circle whose whole feedback is delayed has no such certificate)"
         )
+    return faults
+
+
+def _arrivals(scenario: Scenario) -> list[str]:
+    """Mean batches a slot must stay within what the Poisson quantile can sum."""
+    traffic, slot_s = scenario.traffic, scenario.radio.slot_s
+    delay_s = traffic.application_delay_s
+    interval_s = slot_s + (traffic.deadline_s if delay_s is None else delay_s)
+    per_mbps = 1e6 / (traffic.packet_bits * traffic.batch_packets)
+    loads = {"traffic.load": (traffic.load,), "sweeps.load": scenario.sweeps.load}
+    faults = []
+    for key, values in loads.items():
+        for load in values:
+            urllc = load * np.max(traffic.urllc_offered_mbps) * slot_s
+            urllc += traffic.rate_sensitivity * traffic.reference_rate_mbps * interval_s
+            batches = max(urllc, load * np.max(traffic.embb_offered_mbps) * slot_s) * per_mbps
+            if batches > MAX_MEAN_BATCHES:
+                faults.append(
+                    f"{key} = {load}: up to {batches:.6g} batches a slot and user on average, must "
+                    f"stay within {MAX_MEAN_BATCHES:g} (lower the load or the offered rates, or "
+                    "raise traffic.packet_bits or traffic.batch_packets)"
+                )
     return faults
 
 
@@ -133,6 +171,18 @@ def _studies(scenario: Scenario) -> list[str]:
     for key, seeds in held_out.items():
         if len(set(seeds)) != len(seeds):
             faults.append(f"{key} = {list(seeds)}: every seed once")
+    sweeps = scenario.sweeps
+    axes = {
+        "rayleigh_scale": sweeps.rayleigh_scale,
+        "sampling_s": sweeps.sampling_s,
+        "reference": sweeps.reference,
+        "load": sweeps.load,
+    }
+    faults.extend(
+        f"sweeps.{axis} = {list(points)}: every value once"
+        for axis, points in axes.items()
+        if len(set(points)) != len(points)
+    )
     study = scenario.gain_study
     faults.extend(
         f"gain_study.violation_windows = {window}: at most "

@@ -151,6 +151,8 @@ def find_scenario(name_or_path: str | Path) -> Path:
     """
     path = Path(name_or_path)
     if path.suffix in (".yaml", ".yml") or path.exists():
+        if path.is_dir():
+            raise ScenarioError(f"{path}: a folder; a scenario is a YAML file")
         if not path.is_file():
             raise ScenarioError(f"{path}: no such file")
         return path
@@ -163,6 +165,18 @@ def find_scenario(name_or_path: str | Path) -> Path:
     return candidate
 
 
+def _find_defaults(scenario: Path) -> Path:
+    folders = [Path(), *scenario.resolve().parents]
+    candidates = [folder / CONFIG / "defaults.yaml" for folder in folders]
+    found = next((path for path in candidates if path.is_file()), None)
+    if found is None:
+        raise ScenarioError(
+            f"{scenario}: no {CONFIG / 'defaults.yaml'} in the working directory or above the "
+            "file; it holds every key, a scenario only what differs"
+        )
+    return found
+
+
 def load_scenario(name_or_path: str | Path, *, defaults: Path | None = None) -> Scenario:
     """Load, merge and validate a scenario.
 
@@ -171,7 +185,8 @@ def load_scenario(name_or_path: str | Path, *, defaults: Path | None = None) -> 
     name_or_path
         Name of a file in ``config/scenarios`` or path of an overlay (or of a resolved scenario).
     defaults
-        The file with every key; ``config/defaults.yaml`` unless given.
+        The file with every key. Unless given: ``config/defaults.yaml`` here or, failing that, in
+        the nearest folder above the scenario that has one.
 
     Raises
     ------
@@ -181,7 +196,7 @@ def load_scenario(name_or_path: str | Path, *, defaults: Path | None = None) -> 
         allowed.
     """
     path = find_scenario(name_or_path)
-    defaults = defaults if defaults is not None else CONFIG / "defaults.yaml"
+    defaults = defaults if defaults is not None else _find_defaults(path)
     overlay = _read_yaml(path)
     merged = _merge(_read_yaml(defaults), overlay)
     merged.setdefault("name", path.stem)

@@ -151,7 +151,7 @@ class Learning:
     slots_per_episode: Count
     num_envs: Count
     hidden: Annotated[tuple[Count, ...], NonEmpty]
-    weight_exponent: Positive
+    weight_exponent: Annotated[float, Field(gt=0, le=20)]
     reward_scale: Positive
     discount: Annotated[float, Field(ge=0, lt=1)]
     batch_size: Count

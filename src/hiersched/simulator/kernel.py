@@ -310,6 +310,7 @@ def _drive_robot(
         if step % robots.steps_per_sample == 0:
             sample = step // robots.steps_per_sample
             saturated += close_loop(robots, sample, steps, normals, body, history, control)
+            state.robots.gain_delay_steps[env, robot] = robots.adjusted_delay_steps[steps]
         square_error += move_step(robots, offset + step, slip, control, body, sums)
         if (step + 1) % robots.steps_per_window == 0:
             state.robots.dexterity_index[env, robot] = window_index(
@@ -318,7 +319,7 @@ def _drive_robot(
             sums[:] = 0.0
     record.delay_steps[env, index, robot] = steps
     record.delay_capped[env, index, robot] = 1 if wanted > steps else 0
-    record.gain_delay_steps[env, index, robot] = steps
+    record.gain_delay_steps[env, index, robot] = state.robots.gain_delay_steps[env, robot]
     record.control_saturated[env, index, robot] = saturated
     record.tracking_error_m[env, index, robot] = math.sqrt(square_error / robots.steps_per_slot)
     body_record = record.state[env, index, robot]

@@ -41,9 +41,9 @@ class SlotRecord(NamedTuple):
     reward_urllc: NDArray[np.float64]  # ()
     reward_embb: NDArray[np.float64]  # ()
     network_delay_s: NDArray[np.float64]  # (R,)
-    delay_steps: NDArray[np.uint32]  # (R,)
+    delay_steps: NDArray[np.uint32]  # (R,) T_d of this slot, at most T_max
     delay_capped: NDArray[np.uint32]  # (R,) 0 or 1
-    gain_delay_steps: NDArray[np.uint32]  # (R,)
+    gain_delay_steps: NDArray[np.uint32]  # (R,) T of the adjusted gain in force, 0: nominal
     state: NDArray[np.float64]  # (R, 5) at the end of the slot
     reference: NDArray[np.float64]  # (R, 5) x, y, theta, v, omega at the end of the slot
     control: NDArray[np.float64]  # (R, 2)

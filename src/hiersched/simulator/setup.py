@@ -203,6 +203,7 @@ def robot_constants(
             np.repeat(local[:1], needed, axis=0),
             np.repeat(network[:1], needed, axis=0),
         )
+    differs = (local != local[:1]).any(axis=(1, 2)) | (network != network[:1]).any(axis=(1, 2))
     table, offset = reference_table(
         robot.reference, robot.speed_mps, step_s, num_slots * steps_per_slot, num_robots
     )
@@ -229,6 +230,7 @@ def robot_constants(
         max_delay_steps=scenario.max_delay_steps,
         local_gain=local,
         network_gain=network,
+        adjusted_delay_steps=np.where(differs, np.arange(needed), 0).astype(np.uint32),
         speed_mps=robot.speed_mps,
         turn_rate=table.turn_rate_radps,
         half_cos=np.cos(half_turn),
