@@ -11,14 +11,20 @@ from hypothesis import strategies as st
 
 from hiersched.robot.dynamics import RobotConstants, close_loop, move_step, robot_state
 from hiersched.robot.plant import discretise, unicycle_error_model
-from hiersched.robot.reference import reference_table
+from hiersched.robot.reference import PathShape, reference_table
 
 LAG_S = 0.1
+SHAPE = PathShape(
+    arc_radius_m=10.0,
+    eight_half_width_m=4.0,
+    zigzag_heading_rad=math.pi / 3,
+    zigzag_period_m=1.6,
+)
 
 
 def constants(reference="straight", *, step_s=0.0025, speed_mps=1.0, noise=0.0, max_delay=3,
               local=None, network=None, limit=(2.0, 4.0)):  # fmt: skip
-    table, offset = reference_table(reference, speed_mps, step_s, 4000, 1)
+    table, offset = reference_table(reference, SHAPE, speed_mps, step_s, 4000, 1)
     half = 0.5 * step_s * table.turn_rate_radps
     decay = math.exp(-step_s / LAG_S)
     zeros = np.zeros((max_delay + 1, 2, 5))

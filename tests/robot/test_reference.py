@@ -5,14 +5,20 @@ import math
 import numpy as np
 import pytest
 
-from hiersched.robot.reference import ARC_RADIUS_M, EIGHT_HALF_WIDTH_M, reference_table
+from hiersched.robot.reference import PathShape, reference_table
 
 STEP_S = 0.0025
+SHAPE = PathShape(
+    arc_radius_m=7.0,
+    eight_half_width_m=3.0,
+    zigzag_heading_rad=math.pi / 3,
+    zigzag_period_m=1.6,
+)
 
 
 def table(name, length_m, speed_mps=1.0, robots=1):
     steps = math.ceil(length_m / speed_mps / STEP_S)
-    return reference_table(name, speed_mps, STEP_S, steps, robots)
+    return reference_table(name, SHAPE, speed_mps, STEP_S, steps, robots)
 
 
 def test_straight_stays_on_its_line():
@@ -23,16 +29,16 @@ def test_straight_stays_on_its_line():
 
 @pytest.mark.parametrize("speed_mps", [0.5, 1.0, 2.0])
 def test_arc_keeps_its_radius_and_closes(speed_mps):
-    made, _ = table("arc", 2 * math.pi * ARC_RADIUS_M, speed_mps)
-    radius = np.hypot(made.pose[:, 0], made.pose[:, 1] - ARC_RADIUS_M)
-    np.testing.assert_allclose(radius, ARC_RADIUS_M, atol=1e-9)
-    np.testing.assert_allclose(made.turn_rate_radps, speed_mps / ARC_RADIUS_M, rtol=1e-12)
+    made, _ = table("arc", 2 * math.pi * SHAPE.arc_radius_m, speed_mps)
+    radius = np.hypot(made.pose[:, 0], made.pose[:, 1] - SHAPE.arc_radius_m)
+    np.testing.assert_allclose(radius, SHAPE.arc_radius_m, atol=1e-9)
+    np.testing.assert_allclose(made.turn_rate_radps, speed_mps / SHAPE.arc_radius_m, rtol=1e-12)
     assert np.hypot(*made.pose[-1, :2]) < 2 * speed_mps * STEP_S
 
 
 def test_figure_eight_is_bernoullis_lemniscate():
     """(x² + y²)² = a² (x² − y²) about its node; the heading swings 135 degrees to either side."""
-    length = EIGHT_HALF_WIDTH_M * 5.244115108584239
+    length = SHAPE.eight_half_width_m * 5.244115108584239
     made, _ = table("figure_eight", length)
     end = round(length / STEP_S)
     pose = made.pose[: end + 1]
@@ -40,12 +46,14 @@ def test_figure_eight_is_bernoullis_lemniscate():
     assert pose[-1, 2] == pytest.approx(pose[0, 2], abs=2e-3)
     # The path starts at its outermost point (a, 0) in the direction (0, 1), which in the table is
     # the origin and the direction (1, 0).
-    x, y = EIGHT_HALF_WIDTH_M - pose[:, 1], pose[:, 0]
-    scale = EIGHT_HALF_WIDTH_M**4
-    residual = (x**2 + y**2) ** 2 - EIGHT_HALF_WIDTH_M**2 * (x**2 - y**2)
+    x, y = SHAPE.eight_half_width_m - pose[:, 1], pose[:, 0]
+    scale = SHAPE.eight_half_width_m**4
+    residual = (x**2 + y**2) ** 2 - SHAPE.eight_half_width_m**2 * (x**2 - y**2)
     assert np.abs(residual).max() < 2e-3 * scale
     np.testing.assert_allclose([pose[:, 2].max(), -pose[:, 2].min()], 0.75 * math.pi, rtol=1e-4)
-    assert np.abs(made.turn_rate_radps).max() == pytest.approx(3 / EIGHT_HALF_WIDTH_M, rel=1e-4)
+    assert np.abs(made.turn_rate_radps).max() == pytest.approx(
+        3 / SHAPE.eight_half_width_m, rel=1e-4
+    )
 
 
 def test_zigzag_swings_sixty_degrees_to_either_side():
@@ -69,7 +77,7 @@ def test_speed_and_turn_rate_are_those_of_the_poses(name):
 
 def test_robots_start_evenly_spread_over_the_period():
     made, offset = table("figure_eight", 3.0, robots=4)
-    period = EIGHT_HALF_WIDTH_M * 5.244115108584239 / STEP_S
+    period = SHAPE.eight_half_width_m * 5.244115108584239 / STEP_S
     np.testing.assert_allclose(offset, period * np.arange(4) / 4, atol=0.5)
     assert len(made.turn_rate_radps) == 1200 + offset[-1]
     assert len(made.pose) == len(made.turn_rate_radps) + 1

@@ -108,6 +108,10 @@ class Robot:
 
     __pydantic_config__ = _STRICT
     reference: Reference
+    arc_radius_m: Positive
+    eight_half_width_m: Positive
+    zigzag_heading_deg: Annotated[float, Field(gt=0, le=90)]
+    zigzag_period_m: Positive
     speed_mps: Positive
     actuator_lag_s: Positive
     substep_s: Annotated[float, Field(gt=0, le=0.0025)]

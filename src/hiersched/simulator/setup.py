@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
@@ -14,7 +15,7 @@ from hiersched.network.schedulers import SchedulerConstants
 from hiersched.network.traffic import MAX_MEAN
 from hiersched.radio.channel import large_scale_gain, snr_per_fading_power
 from hiersched.robot.dynamics import RobotConstants, RobotState, robot_state
-from hiersched.robot.reference import reference_table
+from hiersched.robot.reference import PathShape, reference_table
 from hiersched.scenario.schema import Scenario
 
 
@@ -204,8 +205,15 @@ def robot_constants(
             np.repeat(network[:1], needed, axis=0),
         )
     differs = (local != local[:1]).any(axis=(1, 2)) | (network != network[:1]).any(axis=(1, 2))
+    shape = PathShape(
+        arc_radius_m=robot.arc_radius_m,
+        eight_half_width_m=robot.eight_half_width_m,
+        zigzag_heading_rad=math.radians(robot.zigzag_heading_deg),
+        zigzag_period_m=robot.zigzag_period_m,
+    )
+    steps = num_slots * steps_per_slot
     table, offset = reference_table(
-        robot.reference, robot.speed_mps, step_s, num_slots * steps_per_slot, num_robots
+        robot.reference, shape, robot.speed_mps, step_s, steps, num_robots
     )
     half_turn = 0.5 * step_s * table.turn_rate_radps
     decay = float(np.exp(-step_s / robot.actuator_lag_s))

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from hiersched.scenario import Scenario
 from hiersched.study.collect import BASELINE
-from hiersched.study.samples import shown_policies
+from hiersched.study.samples import tail_policies
 from hiersched.study.style import (
     GREY,
     PANEL_HEIGHT_IN,
@@ -39,7 +39,8 @@ def draw_violations(
     caption(
         figure,
         f"Large marks: means; dots: single seeds; bars and bands: Student t 95 % intervals over "
-        f"{seeds} seeds, cut at the axis where they include 0. Open mark at 0: no late packet. "
+        f"{seeds} seeds, cut at the axis where they include 0. Left of the dotted line in (a): 0, "
+        f"which has no place on a logarithmic axis.{_open_marks(policies)} "
         f"Corner in (b): 1 − χ = {_percent(1.0 - traffic.reliability)} at the deadline of "
         f"{1e3 * traffic.deadline_s:g} ms.",
     )
@@ -84,7 +85,6 @@ def draw_load(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     window = f"{scenario.robot.window_s:g} s"
     axes[1].set_title(f"(b) robots: RMS position error over {window}")
     axes[1].set_ylabel("tracking error [cm]")
-    axes[1].set_ylim(bottom=0.0)
     for panel in axes:
         panel.set_xlabel("offered load, relative to the nominal loads [1]")
         panel.set_xticks(loads)
@@ -92,9 +92,16 @@ def draw_load(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     caption(
         figure,
         f"Mean and Student t 95 % interval over {len(scenario.sweeps.seeds)} seeds; bars in (a) "
-        "end at 0 where they include it; open marks: no late packet. Points are set apart.",
+        "end at 0 where they include it. Below the dotted line in (a): 0, which has no place on a "
+        f"logarithmic axis.{_open_marks(table)} The axis of (b) does not start at 0. Points at one "
+        "load are set apart.",
     )
     return figure
+
+
+def _open_marks(table: pd.DataFrame) -> str:
+    """Say what an open mark is, where there is one."""
+    return " Open mark at 0: no late packet." if (table["urllc_late_share"] == 0.0).any() else ""
 
 
 def _draw_shares(
@@ -148,10 +155,12 @@ def _draw_shares(
 
 def _draw_levels(panel: Axes, scenario: Scenario, row: float) -> None:
     """Mark the late share 1 - chi that each reliability level allows."""
+    bottom, top = panel.get_ylim()
     for level in scenario.traffic.reliability_levels:
         own = level == scenario.traffic.reliability
         panel.axvline(
             1.0 - level,
+            ymax=(row - 0.45 - bottom) / (top - bottom),  # ends below its label
             color="black" if own else GREY,
             linewidth=1.0 if own else 0.6,
             linestyle="-" if own else (0, (5, 3)),
@@ -162,7 +171,7 @@ def _draw_levels(panel: Axes, scenario: Scenario, row: float) -> None:
 
 def _draw_tails(panel: Axes, tails: pd.DataFrame, scenario: Scenario) -> None:
     bottom = 1e-5
-    for policy in shown_policies(scenario):
+    for policy in tail_policies(scenario):
         curve = tails[tails["policy"] == policy]
         look = policy_look(policy, scenario.learning.algorithm)
         delay_ms = 1e3 * curve["delay_s"]

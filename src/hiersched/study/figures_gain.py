@@ -76,15 +76,32 @@ def draw_gain(gains: pd.DataFrame, scenario: Scenario) -> Figure:
     right.set_xlim(-0.5, len(slots) - 0.5)
     top = float(violated["ratio_hi"].replace(np.inf, np.nan).max())
     right.set_ylim(0.0, 1.2 if np.isnan(top) else max(1.2, 1.05 * top))
-    mean = violated.loc[violated["method"] == method, "ratio"].mean()
-    right.set_title(f"(b) adjusted / nominal: {mean:.2f} on average")
+    lowest, highest = paper["ratio"].min(), paper["ratio"].max()
+    right.set_title(f"(b) {method.capitalize()}: ratio {lowest:.2f} to {highest:.2f}")
     right.set_xlabel("time slot of violated delay")
-    right.set_ylabel("ratio of tracking errors [1]")
+    right.set_ylabel("error, adjusted / nominal [1]")
     shared_legend(figure, right, side="right")
     caption(
         figure,
         f"Mean over robots and {len(scenario.gain_study.seeds)} seeds; bars: 95 % intervals, "
         "Student t in (a), Fieller in (b). Grey: violated delay; elsewhere both loops have the "
-        "nominal gain. Stars: the paper's Table II. Without a bar: equal gains, or unbounded.",
+        f"nominal gain. Stars: the paper's Table II.{_missing_bars(violated)}",
     )
     return figure
+
+
+def _missing_bars(violated: pd.DataFrame) -> str:
+    """Say why points in (b) have no bar, where some have none."""
+    bounded = np.isfinite(violated["ratio_lo"]) & np.isfinite(violated["ratio_hi"])
+    width = violated["ratio_hi"] - violated["ratio_lo"]
+    equal = bounded & (violated["ratio"] == 1.0) & (width < 1e-9)
+    reasons = (
+        ("both gains give the same errors", equal),
+        ("the interval is unbounded", np.isinf(violated["ratio_lo"])),
+    )
+    return "".join(
+        f" No bar ({', '.join(str(m).capitalize() for m in violated['method'][rows].unique())}): "
+        f"{reason}."
+        for reason, rows in reasons
+        if rows.any()
+    )

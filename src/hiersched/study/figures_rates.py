@@ -28,6 +28,10 @@ from hiersched.study.style import (
 SPAN_SHARE = 0.15
 """Least half height of a rate axis that does not start at 0, as a share of its middle."""
 
+FLAT_SHARE = 0.002
+"""A rate that varies by a smaller share of its mean is flat."""
+COINCIDENT_SHARE = 0.01
+"""Curves that are nowhere further apart than this share lie on each other in the figure."""
 
 _PAIRS: dict[tuple[str, bool], tuple[Any, str]] = {
     ("urllc", True): ("-", "o"),
@@ -63,12 +67,14 @@ def draw_rate_cdf(rates: pd.DataFrame, scenario: Scenario) -> Figure:
         panel.set_ylim(0.0, 1.02)
         drawn = rates[(rates["span"] == span) & (rates["share"] > 0.0)]["rate_mbps"]
         panel.set_xlim(0.93 * float(drawn.min()), float(drawn.max()))
+    cut = (rates.groupby(["span", "policy", "slice"])["share"].last() < 1.0).any()
+    end = " and end at the 99.9 % quantile of all rates" if cut else ""
     axes[0].set_ylabel("share of rates at or below")
     shared_legend(figure, axes[0])
     caption(
         figure,
         f"Mean and {_over_seeds(scenario.evaluate.seeds)}, users of a slice pooled; bands end "
-        "at 0 and 1. Steps in (a): 1, 2, 3 … PRBs. The rate axes do not start at 0.",
+        f"at 0 and 1. Steps in (a): 1, 2, 3 … PRBs. The rate axes do not start at 0{end}.",
     )
     return figure
 
@@ -97,8 +103,8 @@ def draw_rayleigh(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     caption(
         figure,
         f"Mean and {_over_seeds(scenario.sweeps.seeds)}. The rate axis does not start at 0; bars "
-        "leave the logarithmic axis where they include 0. Stars: "
-        "mean of the three slots of the paper's Table III.",
+        "leave the logarithmic axis where they include 0. Stars at σ = 1: "
+        f"mean of the three slots of the paper's Table III.{_coincidence(table, scenario)}",
     )
     return figure
 
@@ -145,15 +151,18 @@ def draw_dexterity(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
                 index, rate, xerr=sideways, fmt="none", ecolor=look.color, elinewidth=0.9
             )
         panel.set_xlabel("measured dexterity index [1]")
-        change = _change_text(table, f"{name}_rate_mbps", scenario)
-        panel.set_title(f"({letter}) {SLICES[name].label} data rate{change}")
+        trend = _trend_text(table, f"{name}_rate_mbps", scenario)
+        panel.set_title(f"({letter}) {SLICES[name].label} rate{trend}")
         panel.set_ylabel("data rate per user [Mbit/s]")
         panel.margins(x=0.14)
         _widen(panel)
         _name_references(panel, table)
     shared_legend(figure, axes[0])
     caption(
-        figure, f"Mean and {_over_seeds(scenario.sweeps.seeds)}. The rate axes do not start at 0."
+        figure,
+        f"Mean and {_over_seeds(scenario.sweeps.seeds)}. The rate axes do not start at 0. DI: "
+        "dexterity index; titles: from the lowest to the highest, of the means. The paper has the "
+        "URLLC rate fall with it.",
     )
     return figure
 
@@ -180,6 +189,34 @@ def _change_text(table: pd.DataFrame, measure: str, scenario: Scenario) -> str:
     return f": DRL varies by {100.0 * (own.max() - own.min()) / own.mean():.2g} %"
 
 
+def _trend_text(table: pd.DataFrame, measure: str, scenario: Scenario) -> str:
+    """Say which way the learned policy's mean goes with the dexterity index, for a title."""
+    own = table[table["policy"] == scenario.learning.algorithm].sort_values("dexterity_index")
+    if len(own) < 2:
+        return ""
+    mean = own[measure].to_numpy()
+    change = float((mean[-1] - mean[0]) / mean.mean())
+    steps = np.sign(change) * np.diff(mean)
+    if np.ptp(mean) < FLAT_SHARE * mean.mean():
+        return ": DRL flat over DI"
+    if (steps < 0.0).any():
+        return f": DRL not monotone in DI ({100.0 * np.ptp(mean) / mean.mean():.2g} %)"
+    way = "rises" if change > 0.0 else "falls"
+    return f": DRL {way} by {100.0 * abs(change):.2g} % with DI"
+
+
+def _coincidence(table: pd.DataFrame, scenario: Scenario) -> str:
+    """Name the policies under which the rates of both slices lie on each other."""
+    names = []
+    for policy in _shown(scenario):
+        own = table[table["policy"] == policy]
+        apart = (own["embb_rate_mbps"] / own["urllc_rate_mbps"] - 1.0).abs().max()
+        if apart < COINCIDENT_SHARE:
+            name = policy_look(policy, scenario.learning.algorithm).label
+            names.append(f" In (a) eMBB and URLLC under {name} coincide (within {apart:.1%}).")
+    return "".join(names).replace("%", " %")
+
+
 def _draw(
     panel: Axes, x: Sequence[float] | np.ndarray, table: pd.DataFrame, measure: str, look: Look
 ) -> None:
@@ -187,17 +224,17 @@ def _draw(
 
 
 def _mark_paper_rates(panel: Axes) -> None:
-    """Mark the URLLC rates of Table III, mean over its three slots, beside the paper's scale 1."""
-    for name, rates, face, place in (
-        ("DRL", [row.drl_mbps for row in TABLE3.values()], PAPER_COLOR, 0.94),
-        ("PF", [row.pf_mbps for row in TABLE3.values()], "white", 1.06),
+    """Mark the URLLC rates of Table III, mean over its three slots, at the paper's scale 1."""
+    for name, rates, face in (
+        ("DRL", [row.drl_mbps for row in TABLE3.values()], PAPER_COLOR),
+        ("PF", [row.pf_mbps for row in TABLE3.values()], "white"),
     ):
         panel.plot(
-            [place],
+            [1.0],
             [float(np.mean(rates))],
             linestyle="none",
             marker="*",
-            markersize=8,
+            markersize=7,
             markerfacecolor=face,
             markeredgecolor=PAPER_COLOR,
             zorder=5,

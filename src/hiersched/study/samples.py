@@ -23,6 +23,12 @@ def shown_policies(scenario: Scenario) -> list[str]:
     return [p for p in scenario.sweeps.policies if p in scenario.evaluate.policies]
 
 
+def tail_policies(scenario: Scenario) -> list[str]:
+    """Return the policies whose delays are shown: those of the sweeps, and EDF as the reference."""
+    shown = shown_policies(scenario)
+    return shown + [p for p in scenario.evaluate.policies if p == "edf" and p not in shown]
+
+
 def reference_backlog(results: Path, scenario: Scenario) -> dict[str, Interval]:
     """Return PF's mean backlog by slice over evaluation slots as many as an episode has.
 
@@ -87,7 +93,7 @@ def delay_tails(results: Path, scenario: Scenario) -> pd.DataFrame:
     """
     grid = np.linspace(0.0, DEADLINES_SHOWN * scenario.traffic.deadline_s, DELAY_POINTS)
     frames = []
-    for policy in shown_policies(scenario):
+    for policy in tail_policies(scenario):
         shares = []
         for seed in scenario.evaluate.seeds:
             sojourns = read_sojourns(evaluation_log(results, policy, seed), scenario)

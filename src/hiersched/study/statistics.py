@@ -53,7 +53,7 @@ def bootstrap_interval(
     Parameters
     ----------
     values
-        One value a seed, shape (n,).
+        One value a seed, shape (n,). A NaN makes all of the result NaN.
     level
         Coverage.
     resamples
@@ -65,7 +65,7 @@ def bootstrap_interval(
 
     sample = _sample(values)
     mean = float(sample.mean())
-    if len(sample) < 2:
+    if len(sample) < 2 or math.isnan(mean):
         return Interval(mean, math.nan, math.nan)
     if np.ptp(sample) == 0.0:  # scipy has no BCa interval for equal values
         return Interval(mean, mean, mean)

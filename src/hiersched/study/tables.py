@@ -30,6 +30,9 @@ from hiersched.study.summary import (
 )
 
 _SEEDS = "Means over seeds, in brackets their Student t 95 % intervals."
+_LEARNED = (
+    "The learned policy has one trained policy a world: its intervals mix training seed and world."
+)
 _FIELLER = "Ratios are of means over the same worlds, in brackets Fieller's 95 % interval."
 TITLES = {
     "table1_parameters": (
@@ -55,13 +58,14 @@ TITLES = {
     "policies": (
         "Policies in the same worlds",
         f"{_SEEDS} Delays are of delivered packets; packets that still wait count in the late "
-        "shares alone. An interval of a share may reach below 0: it is symmetric. The CSV has more "
-        "columns.",
+        "shares alone. An interval of a share may reach below 0: it is symmetric; the CSV also has "
+        "the interquartile mean of the URLLC late share and its bootstrap interval (BCa), which "
+        f"does not, and more columns. {_LEARNED}",
     ),
     "comparison": (
         "Policies against PF in the same worlds",
         f"{_FIELLER} Differences with Student t 95 % intervals. A ratio's interval is unbounded "
-        "where PF's own mean does not differ significantly from 0.",
+        f"where PF's own mean does not differ significantly from 0. {_LEARNED}",
     ),
     "sweeps": (
         "Sweeps: one axis varied at a time",
