@@ -87,6 +87,10 @@ def test_bootstrap_of_equal_values() -> None:
     assert bootstrap_interval([2.0, 2.0, 2.0]) == (2.0, 2.0, 2.0)
 
 
+def test_bootstrap_of_no_number_has_no_bounds() -> None:
+    assert all(np.isnan(bootstrap_interval([1.0, math.nan, 2.0])))
+
+
 def test_interquartile_mean() -> None:
     values = np.random.default_rng(3).normal(size=20)
     assert interquartile_mean(values) == pytest.approx(stats.trim_mean(values, 0.25))

@@ -12,6 +12,8 @@ from scipy import stats
 from hiersched.log import LogReader
 from hiersched.scenario import Scenario
 from hiersched.study.metrics import run_metrics
+from hiersched.study.statistics import bootstrap_interval, interquartile_mean
+from hiersched.study.summary import measures, policy_table
 from hiersched.study.tables import interval_text, markdown_text, parameter_table, write_tables
 
 PROMISED = (
@@ -40,6 +42,33 @@ def test_policies_have_the_means_and_t_intervals_of_their_logs(
             low, high = stats.ttest_1samp(values, 0.0).confidence_interval(0.95)
             row = table.loc[policy, [name, f"{name}_lo", f"{name}_hi"]].to_numpy(float)
             assert row == pytest.approx([values.mean(), low, high], rel=1e-12, nan_ok=True)
+
+
+def test_policies_have_robust_measures_of_the_late_share(tiny: Scenario) -> None:
+    late = "urllc_late_share"
+    samples = {"ddpg": [0.0, 0.0, 1e-4, 2e-4, 5e-3], "pf": [0.2, 0.2, 0.2, 0.2, 0.2]}
+    rows = [
+        {**dict.fromkeys(measures(tiny), 0.5), "policy": policy, late: share}
+        for policy, shares in samples.items()
+        for share in shares
+    ]
+    table = policy_table(pd.DataFrame(rows), tiny).set_index("policy")
+    for policy, shares in samples.items():
+        boot = bootstrap_interval(shares)
+        row = table.loc[policy]
+        assert row[f"{late}_iqm"] == interquartile_mean(shares)
+        assert (row[f"{late}_boot_lo"], row[f"{late}_boot_hi"]) == (boot.lo, boot.hi)
+    skewed = table.loc["ddpg"]
+    assert skewed[f"{late}_lo"] < 0.0 <= skewed[f"{late}_boot_lo"]
+    assert skewed[f"{late}_boot_hi"] <= 5e-3
+
+
+@pytest.mark.parametrize("name", ["policies", "comparison"])
+def test_notes_say_what_the_learned_policys_interval_mixes(
+    tables: dict[str, pd.DataFrame], results: Path, name: str
+) -> None:
+    text = (results / "tables" / f"{name}.md").read_text()
+    assert "mix training seed and world" in text
 
 
 def test_csv_numbers_read_back_to_the_same_bits(
