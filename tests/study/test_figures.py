@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,11 @@ from matplotlib.figure import Figure
 from hiersched.scenario import Scenario
 from hiersched.study.collect import evaluation_frame, gain_frame, sweep_frame, training_frame
 from hiersched.study.figures import build_figures, draw_figures
+from hiersched.study.figures_delay import draw_load, draw_violations
+from hiersched.study.figures_gain import draw_gain
+from hiersched.study.figures_rates import draw_dexterity, draw_rayleigh
 from hiersched.study.figures_training import training_curve
+from hiersched.study.samples import delay_tails
 from hiersched.study.style import (
     draw_series,
     house_style,
@@ -159,6 +164,108 @@ def test_gain_figure_shows_the_table_and_the_papers_ratios(
     assert_drawn(ratios, "Krasovskii, network", table[table["violated"]], "ratio")
     (paper,) = [line for line in ratios.get_lines() if line.get_label() == "paper"]
     assert paper.get_ydata() == pytest.approx([0.78967, 0.71207, 0.64864], abs=1e-5)
+
+
+def small_print(figure: Figure) -> str:
+    """The caption on one line."""
+    return figure.get_supxlabel().replace("\n", " ").replace("\u00a0", " ")
+
+
+def set_mean(table: pd.DataFrame, measure: str, mean: object) -> None:
+    """Write means with intervals of 10 % to both sides."""
+    table[measure] = mean
+    table[f"{measure}_lo"], table[f"{measure}_hi"] = 0.9 * table[measure], 1.1 * table[measure]
+
+
+@pytest.mark.parametrize("none_late", [True, False])
+def test_captions_speak_of_open_marks_only_where_there_are_some(
+    results: Path, tiny: Scenario, sweeps: pd.DataFrame, none_late: bool
+) -> None:
+    runs = evaluation_frame(results, tiny)
+    late = "urllc_late_share"
+    runs[late] = np.where(runs["policy"] == "ddpg", 0.0 if none_late else 0.01, 0.2)
+    load = sweeps.copy()
+    set_mean(load, late, np.where(load["policy"] == "ddpg", 0.0 if none_late else 0.01, 0.2))
+    tails = delay_tails(results, tiny)
+    with house_style():
+        figures = (
+            draw_violations(policy_table(runs, tiny), runs, tails, tiny),
+            draw_load(load, tiny),
+        )
+    for figure in figures:
+        assert ("Open mark at 0" in small_print(figure)) == none_late
+        assert "dotted line" in small_print(figure)
+
+
+def test_load_figure_has_every_policy_of_the_sweeps(tiny: Scenario, sweeps: pd.DataFrame) -> None:
+    edf = sweeps[sweeps["policy"] == "pf"].assign(policy="edf")
+    scenario = replace(tiny, sweeps=replace(tiny.sweeps, policies=("ddpg", "pf", "edf")))
+    with house_style():
+        figure = draw_load(pd.concat([sweeps, edf], ignore_index=True), scenario)
+    for axes in figure.axes:
+        assert list(bars(axes)) == ["DRL (DDPG)", "PF", "EDF"]
+
+
+def test_tails_include_edf_where_it_is_evaluated(
+    results: Path, tiny: Scenario, tmp_path: Path
+) -> None:
+    assert set(delay_tails(results, tiny)["policy"]) == {"ddpg", "pf"}
+    (tmp_path / "eval").mkdir()
+    for policy, source in (("ddpg", "ddpg"), ("pf", "pf"), ("edf", "pf")):
+        (tmp_path / "eval" / policy).symlink_to(results / "eval" / source)
+    scenario = replace(tiny, evaluate=replace(tiny.evaluate, policies=("ddpg", "edf", "pf")))
+    assert set(delay_tails(tmp_path, scenario)["policy"]) == {"ddpg", "pf", "edf"}
+
+
+@pytest.mark.parametrize(
+    ("rates", "text"),
+    [
+        ((20.0, 21.0, 22.0), "DRL rises by 9.5 % with DI"),
+        ((22.0, 21.0, 20.0), "DRL falls by 9.5 % with DI"),
+        ((20.0, 22.0, 21.0), "DRL not monotone in DI (9.5 %)"),
+        ((20.0, 20.01, 20.0), "DRL flat over DI"),
+    ],
+)
+def test_dexterity_title_says_which_way_the_rate_goes(
+    tiny: Scenario, sweeps: pd.DataFrame, rates: tuple[float, ...], text: str
+) -> None:
+    first = sweeps[(sweeps["axis"] == "reference") & (sweeps["policy"] == "ddpg")].iloc[[0]]
+    table = pd.concat([first] * 3, ignore_index=True)
+    # Listed against the order of the index: the order of the rows must not matter.
+    set_mean(table, "dexterity_index", [0.9, 0.8, 0.7])
+    set_mean(table, "urllc_rate_mbps", rates[::-1])
+    with house_style():
+        figure = draw_dexterity(table, tiny)
+    assert figure.axes[1].get_title(loc="left") == f"(b) URLLC rate: {text}"
+
+
+@pytest.mark.parametrize(("factor", "said"), [(1.004, True), (1.02, False)])
+def test_rayleigh_caption_names_curves_that_coincide(
+    tiny: Scenario, sweeps: pd.DataFrame, factor: float, said: bool
+) -> None:
+    table = sweeps.copy()
+    set_mean(table, "urllc_rate_mbps", 20.0)
+    set_mean(table, "embb_rate_mbps", np.where(table["policy"] == "pf", 20.0 * factor, 23.0))
+    with house_style():
+        text = small_print(draw_rayleigh(table, tiny))
+    assert ("eMBB and URLLC under PF coincide (within 0.4 %)" in text) == said
+    assert "under DRL" not in text
+
+
+@pytest.mark.parametrize("case", ["bounded", "equal", "unbounded"])
+def test_gain_caption_explains_only_the_bars_that_are_missing(
+    results: Path, tiny: Scenario, case: str
+) -> None:
+    table = gain_table(gain_frame(results, tiny))
+    bounds = ["ratio", "ratio_lo", "ratio_hi"]
+    if case == "equal":
+        table[bounds] = 1.0
+    elif case == "unbounded":
+        table["ratio_lo"], table["ratio_hi"] = -np.inf, np.inf
+    with house_style():
+        text = small_print(draw_gain(table, tiny))
+    assert ("the same errors" in text) == (case == "equal")
+    assert ("the interval is unbounded" in text) == (case == "unbounded")
 
 
 def test_training_figure_shows_means_of_rounds(

@@ -103,7 +103,7 @@ def draw_rayleigh(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     caption(
         figure,
         f"Mean and {_over_seeds(scenario.sweeps.seeds)}. The rate axis does not start at 0; bars "
-        "leave the logarithmic axis where they include 0. Stars at σ = 1: "
+        "leave the logarithmic axis where they include 0. Stars at σ\u00a0=\u00a01: "
         f"mean of the three slots of the paper's Table III.{_coincidence(table, scenario)}",
     )
     return figure
@@ -161,8 +161,8 @@ def draw_dexterity(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     caption(
         figure,
         f"Mean and {_over_seeds(scenario.sweeps.seeds)}. The rate axes do not start at 0. DI: "
-        "dexterity index; titles: from the lowest to the highest, of the means. The paper has the "
-        "URLLC rate fall with it.",
+        "dexterity index; titles: change of the mean from the lowest index to the highest. The "
+        "paper has the data rate fall as the index grows.",
     )
     return figure
 

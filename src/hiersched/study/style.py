@@ -261,8 +261,8 @@ def log_axis_with_zero(
     axis = axes.yaxis if which == "y" else axes.xaxis
     (axes.set_yscale if which == "y" else axes.set_xscale)("log")
     limits = axes.set_ylim if which == "y" else axes.set_xlim
-    limits(floor * 0.72, max(top * 1.3, 10.0 ** (first + 1)))
-    shown = [d for d in decades if 10.0**d <= max(top * 1.3, 10.0 ** (first + 1))]
+    limits(floor * 0.72, max(top * 1.6, 10.0 ** (first + 1)))
+    shown = [d for d in decades if 10.0**d <= max(top * 1.6, 10.0 ** (first + 1))]
     axis.set_major_locator(FixedLocator([floor, *(10.0**d for d in shown)]))
     axis.set_major_formatter(FixedFormatter(["0", *(f"$10^{{{d}}}$" for d in shown)]))
     axis.set_minor_locator(NullLocator())
