@@ -44,7 +44,7 @@ smoke: $(STAMP)  ## the same pipeline, small enough for a few minutes (results/s
 	@echo "Figures: results/smoke/figures    tables: results/smoke/tables"
 
 test: $(STAMP)  ## the tests
-	$(RUN) python -m pytest
+	$(RUN) python -m pytest -n $(CORES) --dist loadfile
 
 lint: $(STAMP)  ## style, types, import directions, workflow format
 	$(RUN) ruff check .
