@@ -101,7 +101,7 @@ def _least(bits: NDArray[np.int64], count: int) -> int:
     return int(key & _INDEX_BITS)
 
 
-@kernel()
+@kernel(forceinline=True)
 def assign_one_each(scratch: AllocationScratch) -> None:
     """Give every user exactly one PRB at least total cost.
 
@@ -188,7 +188,7 @@ def _make_non_negative(cost: NDArray[np.float64]) -> None:
         cost[i] -= least
 
 
-@kernel()
+@kernel(forceinline=True)
 def _first_costs(
     utility: int,
     rate: NDArray[np.float32],
@@ -251,7 +251,7 @@ def _greatest(gain: NDArray[np.float64], count: int) -> int:
     return place
 
 
-@kernel()
+@kernel(forceinline=True)
 def allocate_by_utility(
     utility: int,
     rate: NDArray[np.float32],

@@ -125,7 +125,7 @@ def _exp_pf_weights(
         weight[user] = math.exp(exponent - largest) / average_rate_mbps[user]
 
 
-@kernel()
+@kernel(forceinline=True)
 def schedule_slot(
     scheduler: int,
     slot: int,

@@ -30,7 +30,7 @@ from hiersched.simulator.records import SlotRecord
 from hiersched.simulator.setup import SlotConstants, SlotScratch, SlotState
 
 
-@kernel()
+@kernel(forceinline=True)
 def draw_channel(
     constants: SlotConstants, state: SlotState, scratch: SlotScratch, env: int
 ) -> None:
@@ -147,7 +147,7 @@ def _row_mean(values: NDArray[np.float32]) -> np.float32:
     return (((s0 + s1) + (s2 + s3)) + ((s4 + s5) + (s6 + s7))) / F32(count)
 
 
-@kernel()
+@kernel(forceinline=True)
 def _observe(
     constants: SlotConstants,
     state: SlotState,
@@ -184,7 +184,7 @@ def _observe(
         record.multiplier[env, index, robot] = multiplier[robot]
 
 
-@kernel()
+@kernel(forceinline=True)
 def _serve(
     constants: SlotConstants,
     state: SlotState,
@@ -281,7 +281,7 @@ def _serve(
     )
 
 
-@kernel()
+@kernel(forceinline=True)
 def _drive_robot(
     robots: RobotConstants,
     state: SlotState,
