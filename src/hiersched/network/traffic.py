@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from hiersched.compiled import kernel
 
 MAX_MEAN = 600.0
-"""Largest mean of `poisson_quantile`: exp(-mean) must stay a normal double."""
+"""Largest mean of `poisson_quantiles`: exp(-mean) must stay a normal double."""
 
 NEGLIGIBLE_TERM = 1e-17
 """Far in the tail the sum may have rounded below the uniform: no later term changes it."""
@@ -20,34 +20,16 @@ _RECIPROCAL = np.concatenate([[0.0], 1.0 / np.arange(1, 4096)])
 
 
 @kernel()
-def poisson_quantile(uniform: float, mean: float) -> int:
-    """Return the least k whose Poisson distribution function reaches `uniform`, in (0, 1).
-
-    `mean` is at most MAX_MEAN.
-    """
-    term = math.exp(-mean)
-    cumulative = term
-    k = 0
-    while cumulative < uniform:
-        k += 1
-        term *= mean * _RECIPROCAL[k]
-        if term < NEGLIGIBLE_TERM and k > mean:
-            break
-        cumulative += term
-    return k
-
-
-@kernel()
 def poisson_quantiles(
     uniform: NDArray[np.float64],
     mean: NDArray[np.float64],
     scratch: NDArray[np.float64],
     quantile: NDArray[np.int64],
 ) -> None:
-    """Poisson quantiles of all users at once, in place: the same values as `poisson_quantile`.
+    """Poisson quantiles of all users, in place: the least k whose distribution reaches the uniform.
 
-    One number at a time would end its sum at an unforeseeable place, which stalls the processor;
-    all users go on until the last has ended.
+    The users' sums run side by side until the last has ended: one after the other, each would end
+    at an unforeseeable place, which stalls the processor.
 
     Parameters
     ----------
