@@ -17,9 +17,8 @@ from hiersched.network.allocation import (
     allocate_by_urgency,
     allocate_by_utility,
     allocate_in_turn,
-    allocation_scratch,
-    assign_one_each,
 )
+from hiersched.network.assignment import allocation_scratch, assign_one_each
 from hiersched.network.lyapunov import user_lagrangian
 from hiersched.network.schedulers import CLASSICAL
 

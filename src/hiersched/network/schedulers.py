@@ -19,11 +19,11 @@ from hiersched.network.allocation import (
     UTILITY_LAGRANGIAN,
     UTILITY_LINEAR,
     UTILITY_LOG,
-    AllocationScratch,
     allocate_by_urgency,
     allocate_by_utility,
     allocate_in_turn,
 )
+from hiersched.network.assignment import AllocationScratch
 from hiersched.network.lyapunov import UserTerms
 
 WEIGHTED_PF = 0

@@ -9,7 +9,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.network.allocation import AllocationScratch, allocation_scratch
+from hiersched.network.assignment import AllocationScratch, allocation_scratch
 from hiersched.network.lyapunov import UserTerms
 from hiersched.network.schedulers import SchedulerConstants
 from hiersched.network.traffic import MAX_MEAN
