@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -64,3 +65,22 @@ def nominal_gains() -> Callable[[Scenario], LoopGains]:
         return made[scenario.control]
 
     return gains
+
+
+@pytest.fixture(scope="session")
+def scenario(smoke_scenario: Scenario) -> Scenario:
+    """Three URLLC and two eMBB users, episodes of six slots: for environments and learners."""
+    smoke = smoke_scenario
+    return replace(
+        smoke,
+        users=replace(smoke.users, num_urllc=3, num_embb=2),
+        radio=replace(smoke.radio, num_prb=8),
+        traffic=replace(smoke.traffic, urllc_offered_mbps=(12.0, 16.0, 22.0), load=1.1),
+        learning=replace(smoke.learning, slots_per_episode=6),
+    )
+
+
+@pytest.fixture(scope="session")
+def gains(scenario: Scenario, nominal_gains: Callable[[Scenario], LoopGains]) -> LoopGains:
+    """The nominal gain at every delay of `scenario`."""
+    return nominal_gains(scenario)
