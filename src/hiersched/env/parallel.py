@@ -12,7 +12,7 @@ from pettingzoo import ParallelEnv
 from hiersched.env.core import SlotLoop
 from hiersched.env.features import NUM_FEATURES, agent_views
 from hiersched.env.vector import slot_info
-from hiersched.randomness import world_key
+from hiersched.env.worlds import EpisodeWorlds
 from hiersched.scenario.schema import Scenario
 from hiersched.simulator import Gains
 
@@ -55,13 +55,9 @@ class SlicingParallelEnv(ParallelEnv):
             agent: spaces.Box(-1.0, 1.0, (count,), np.float32)
             for agent, count in zip(AGENTS, counts, strict=True)
         }
-        self._seed = 0
-        self._next_world = 0
+        self._worlds = EpisodeWorlds(1)
         slots = scenario.learning.slots_per_episode if num_slots is None else num_slots
-        self._loop = SlotLoop(scenario, gains, self._world(), slots)
-
-    def _world(self) -> NDArray[np.uint64]:
-        return np.array([world_key("env", self._seed, self._next_world)], np.uint64)
+        self._loop = SlotLoop(scenario, gains, self._worlds.coming(), slots)
 
     def observation_space(self, agent: str) -> spaces.Box:
         """Return the observation space of an agent, always the same object."""
@@ -78,10 +74,7 @@ class SlicingParallelEnv(ParallelEnv):
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, NDArray[np.float32]], dict[str, dict[str, Any]]]:
         """Start an episode in a new world; with a seed, in the first world of that seed."""
-        if seed is not None:
-            self._seed, self._next_world = seed, 0
-        features = self._loop.reset(self._world())
-        self._next_world += 1
+        features = self._loop.reset(self._worlds.take(seed))
         self.agents = list(AGENTS)
         return self._views(features), {agent: {} for agent in AGENTS}
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hiersched.env.core import SlotLoop
 from hiersched.env.vector import slot_info, user_spaces
-from hiersched.randomness import world_key
+from hiersched.env.worlds import EpisodeWorlds
 from hiersched.scenario.schema import Scenario
 from hiersched.simulator import Gains
 
@@ -35,23 +35,16 @@ class SlicingEnv(gymnasium.Env):
     def __init__(self, scenario: Scenario, gains: Gains, *, num_slots: int | None = None) -> None:
         self.observation_space, self.action_space = user_spaces(scenario.num_users)
         self._num_urllc = scenario.users.num_urllc
-        self._seed = 0
-        self._next_world = 0
+        self._worlds = EpisodeWorlds(1)
         slots = scenario.learning.slots_per_episode if num_slots is None else num_slots
-        self._loop = SlotLoop(scenario, gains, self._world(), slots)
-
-    def _world(self) -> NDArray[np.uint64]:
-        return np.array([world_key("env", self._seed, self._next_world)], np.uint64)
+        self._loop = SlotLoop(scenario, gains, self._worlds.coming(), slots)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Start an episode in a new world; with a seed, in the first world of that seed."""
         super().reset(seed=seed)
-        if seed is not None:
-            self._seed, self._next_world = seed, 0
-        features = self._loop.reset(self._world())
-        self._next_world += 1
+        features = self._loop.reset(self._worlds.take(seed))
         return features[0], {}
 
     def step(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from hiersched.env.core import SlotLoop
 from hiersched.env.features import NUM_FEATURES
-from hiersched.randomness import world_key
+from hiersched.env.worlds import EpisodeWorlds
 from hiersched.scenario.schema import Scenario
 from hiersched.simulator import Gains, SlotRecord
 
@@ -69,21 +69,9 @@ class SlicingVectorEnv(VectorEnv):
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._num_urllc = scenario.users.num_urllc
-        self._seed = 0
-        self._next_world = 0
+        self._worlds = EpisodeWorlds(num_envs)
         slots = scenario.learning.slots_per_episode if num_slots is None else num_slots
-        self._loop = SlotLoop(scenario, gains, self._worlds(), slots)
-
-    def _worlds(self) -> NDArray[np.uint64]:
-        first = self._next_world
-        return np.array(
-            [world_key("env", self._seed, first + env) for env in range(self.num_envs)], np.uint64
-        )
-
-    def _new_episode(self) -> NDArray[np.float32]:
-        features = self._loop.reset(self._worlds())
-        self._next_world += self.num_envs
-        return features
+        self._loop = SlotLoop(scenario, gains, self._worlds.coming(), slots)
 
     @property
     def multipliers(self) -> NDArray[np.float64]:
@@ -95,9 +83,7 @@ class SlicingVectorEnv(VectorEnv):
     ) -> tuple[NDArray[np.float32], dict[str, Any]]:
         """Start an episode in new worlds; with a seed, in the first worlds of that seed."""
         super().reset(seed=seed)
-        if seed is not None:
-            self._seed, self._next_world = seed, 0
-        return self._new_episode(), {}
+        return self._loop.reset(self._worlds.take(seed)), {}
 
     def step(
         self, actions: NDArray[np.floating]
@@ -122,5 +108,5 @@ class SlicingVectorEnv(VectorEnv):
                 "final_info": info,
                 "_final_info": truncated.copy(),
             }
-            features = self._new_episode()
+            features = self._loop.reset(self._worlds.take())
         return features, reward, np.zeros(self.num_envs, np.bool_), truncated, info

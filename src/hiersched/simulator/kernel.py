@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from hiersched.compiled import kernel
 from hiersched.network.lyapunov import (
     delay_surrogate,
+    mean_arrivals,
     offered_service,
     rate_penalty,
 )
@@ -209,9 +210,13 @@ def _serve(
     for user in range(num_users):
         wanted = constants.offered_mbps[user] - constants.rate_sensitivity[user] * rate[user]
         record.arrival_clamped[env, index, user] = 1 if wanted < 0.0 else 0
-        scratch.mean_batches[user] = (
-            max(0.0, wanted) * constants.arrival_packets_per_mbps[user] / constants.batch_packets
+        mean = mean_arrivals(
+            rate[user],
+            constants.offered_mbps[user],
+            constants.rate_sensitivity[user],
+            constants.arrival_packets_per_mbps[user],
         )
+        scratch.mean_batches[user] = mean / constants.batch_packets
     poisson_quantiles(
         record.arrival_uniform[env, index],
         scratch.mean_batches,
