@@ -18,6 +18,7 @@ from hiersched.log import (
     LogReader,
     LogWriter,
     logfile,
+    part,
     schema,
     writer,
 )
@@ -248,7 +249,7 @@ def test_newer_schema_is_refused(
         write_log(path, random_fields(3))
         with pytest.raises(LogError, match="schema version 2, newer than version 1"):
             LogReader(path)
-        patch.setattr(writer, "LIBRARY", "hiersched-log/3")
+        patch.setattr(part, "LIBRARY", "hiersched-log/3")
         write_log(path, random_fields(3))
         with pytest.raises(LogError, match="schema version 3, newer than version 1"):
             LogReader(path)
@@ -258,7 +259,7 @@ def test_schema_that_changed_without_a_new_version_is_refused(
     tmp_path: Path, random_fields: Any, write_log: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patch:
-        patch.setattr(writer, "descriptor_set", lambda name: schema.descriptor_set(name) + b"\n\0")
+        patch.setattr(part, "descriptor_set", lambda name: schema.descriptor_set(name) + b"\n\0")
         path = write_log(tmp_path / "a.mcap", random_fields(3))
     with pytest.raises(LogError, match=r"the schema of /channel is not hiersched\.Channel"):
         LogReader(path)
@@ -270,11 +271,11 @@ def test_messages_that_do_not_follow_the_schema_are_refused(
     """All checksums are right, but a tag inside of a message is not."""
     original = container_module.Container.add_chunk
 
-    def bend(self: Any, channel_id: int, data: Any, times: Any, offsets: Any) -> None:
+    def bend(self: Any, channel_id: int, data: Any, *rest: Any, **settings: Any) -> None:
         changed = bytearray(data)
         if channel_id == 4:
             changed[31] ^= 0x10  # the first tag of the first message
-        original(self, channel_id, bytes(changed), times, offsets)
+        original(self, channel_id, bytes(changed), *rest, **settings)
 
     monkeypatch.setattr(container_module.Container, "add_chunk", bend)
     path = write_log(tmp_path / "a.mcap", random_fields(3))
@@ -321,14 +322,14 @@ def test_events_that_make_no_sense_are_refused(
     place: int, tmp_path: Path, dims: LogDims, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """All checksums are right, but an opcode, a length or a tag is not."""
-    original = writer.encode_event
+    original = part.encode_event
 
     def bent(*arguments: Any) -> bytes:
         record = bytearray(original(*arguments))
         record[place] ^= 0x07
         return bytes(record)
 
-    monkeypatch.setattr(writer, "encode_event", bent)
+    monkeypatch.setattr(part, "encode_event", bent)
     with LogWriter(tmp_path / "a.mcap", dims, slot_ns=SLOT_NS) as log:
         log.event(3, "INFO", "run", "text")
     with LogReader(tmp_path / "a.mcap") as reader, pytest.raises(LogError, match="event"):

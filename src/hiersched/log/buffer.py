@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.log.container import Container
+from hiersched.log.container import INDEX_ENTRY_BYTES, Container
 from hiersched.log.layout import RecordLayout, raw_columns
 
 
@@ -25,14 +25,23 @@ class TopicBuffer:
         Room for records [bytes]; there is room for one in any case.
     channel_id
         MCAP channel id of the topic.
+    stored
+        Whether its chunks are never compressed.
     """
 
     def __init__(
-        self, layout: RecordLayout, slot_ns: int, chunk_bytes: int, channel_id: int
+        self,
+        layout: RecordLayout,
+        slot_ns: int,
+        chunk_bytes: int,
+        channel_id: int,
+        *,
+        stored: bool,
     ) -> None:
         self.layout = layout
         self._slot_ns = slot_ns
         self._channel_id = channel_id
+        self._stored = stored
         self._rows = np.repeat(layout.template, max(1, chunk_bytes // layout.dtype.itemsize))
         self._columns = raw_columns(self._rows, layout)
         self._offsets = np.arange(len(self._rows), dtype=np.uint64) * layout.dtype.itemsize
@@ -42,6 +51,11 @@ class TopicBuffer:
     def free(self) -> int:
         """Slots that still fit."""
         return len(self._rows) - self._used
+
+    @property
+    def capacity_bytes(self) -> int:
+        """Bytes of a full chunk's messages and their index entries, uncompressed."""
+        return len(self._rows) * (self.layout.dtype.itemsize + INDEX_ENTRY_BYTES)
 
     def fill(
         self, first_slot: int, blocks: Mapping[str, NDArray[Any]], start: int, stop: int
@@ -72,7 +86,11 @@ class TopicBuffer:
         """Write what there is as a chunk."""
         if self._used:
             rows = self._rows[: self._used]
-            times = rows["log_time"].astype(np.uint64)
-            data = rows.view(np.uint8).data
-            container.add_chunk(self._channel_id, data, times, self._offsets[: self._used])
+            container.add_chunk(
+                self._channel_id,
+                rows.view(np.uint8).data,
+                rows["log_time"].astype(np.uint64),
+                self._offsets[: self._used],
+                stored=self._stored,
+            )
             self._used = 0

@@ -41,6 +41,8 @@ MESSAGE_INDEX_START = struct.Struct("<BQHI")  # opcode, length, channel id, byte
 FOOTER_START = struct.Struct("<BQQQ")  # opcode, length, summary start, summary offset start
 DATA_END_BYTES = 13
 FOOTER_BYTES = FOOTER_START.size + 4
+INDEX_ENTRY_BYTES = 16  # of a MessageIndex: time and offset of one message
+CHUNK_OVERHEAD_BYTES = 256  # at most: framing of a chunk, its MessageIndex and its ChunkIndex
 
 
 def _compressor() -> zstandard.ZstdCompressor:
@@ -146,6 +148,8 @@ class Container:
         data: Any,
         times: NDArray[np.uint64],
         offsets: NDArray[np.uint64],
+        *,
+        stored: bool = False,
     ) -> None:
         """Write a Chunk of one channel and its MessageIndex.
 
@@ -159,9 +163,12 @@ class Container:
             Log time of each message [ns], ascending, shape (n,).
         offsets
             Offset of each message in the chunk [bytes], shape (n,).
+        stored
+            Not to be compressed, whatever the others are.
         """
-        packed = data if self._zstd is None else self._zstd.compress(data)
-        name = b"" if self._zstd is None else b"zstd"
+        zstd = None if stored else self._zstd
+        packed = data if zstd is None else zstd.compress(data)
+        name = b"" if zstd is None else b"zstd"
         names = struct.pack("<I", len(name)) + name + struct.pack("<Q", len(packed))
         first, last = int(times[0]), int(times[-1])
         length = CHUNK_START.size - 9 + len(names) + len(packed)
@@ -170,7 +177,7 @@ class Container:
         self._write(CHUNK_START.pack(Opcode.CHUNK, length, first, last, len(data), crc) + names)
         self._write(packed, crc if packed is data else None)
         index_start = self._offset
-        entries = np.stack((times, offsets), axis=1).astype("<u8").tobytes()
+        entries = np.stack((times, offsets), axis=1).astype("<u8", copy=False).tobytes()
         self._write(
             MESSAGE_INDEX_START.pack(
                 Opcode.MESSAGE_INDEX, 6 + len(entries), channel_id, len(entries)
@@ -191,6 +198,19 @@ class Container:
                 uncompressed_size=len(data),
             )
         )
+
+    def finished_bytes(self) -> int:
+        """Return how large the file would be, at most, if it were finished now."""
+        entries: tuple[list[Any], ...] = (
+            self._schemas,
+            self._channels,
+            self._attachments,
+            self._metadata,
+        )
+        summary = sum(len(record_bytes(*records)) for records in entries)
+        # Statistics and summary offsets are small and of a bounded size.
+        fixed = DATA_END_BYTES + 1024 + 10 * len(self._channels) + FOOTER_BYTES + len(MAGIC)
+        return self._offset + summary + fixed + CHUNK_OVERHEAD_BYTES * len(self._chunks)
 
     def finish(self) -> None:
         """Write the end of the data section, the summary and the footer."""

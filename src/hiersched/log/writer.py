@@ -1,8 +1,7 @@
-"""Writes the log of a run: blocks of slots in, an ordinary MCAP file out."""
+"""Writes the log of a run: blocks of slots in, ordinary MCAP files out."""
 
 from __future__ import annotations
 
-import contextlib
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,33 +11,15 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.log.buffer import TopicBuffer
-from hiersched.log.container import Container
-from hiersched.log.events import Event, encode_event
-from hiersched.log.layout import as_raw, record_layout
-from hiersched.log.schema import (
-    EVENTS_SCHEMA,
-    EVENTS_TOPIC,
-    LIBRARY,
-    METADATA_NAME,
-    PROFILES,
-    SCHEMA_VERSION,
-    TOPICS,
-    LogDims,
-    channel_ids,
-    descriptor_set,
-    proto_source,
-)
+from hiersched.log.events import Event
+from hiersched.log.layout import as_raw
+from hiersched.log.part import LogPart, PartSettings
+from hiersched.log.schema import PROFILES, SCHEMA_VERSION, TOPICS, LogDims, proto_source
 
 COMPRESSIONS = ("zstd", "none")
 MAX_CHUNK_BYTES = 1 << 28  # a viewer holds whole chunks in memory
 MAX_SLOT = 1 << 32  # the sequence number of a message has 32 bits
-_MEDIA_TYPES = {
-    ".yaml": "application/yaml",
-    ".json": "application/json",
-    ".csv": "text/csv",
-    ".proto": "text/plain",
-}
+_KNOWN_FIELDS = {field.name for topic in TOPICS.values() for field in topic.fields} - {"slot"}
 
 
 class LogWriter:
@@ -63,9 +44,16 @@ class LogWriter:
     slot_ns
         Slot length [ns] of simulated time, the only clock in the file.
     compression
-        ``zstd`` (level 1) or ``none``.
+        ``zstd`` (level 1; topics of random numbers are stored all the same) or ``none``.
     chunk_bytes
         Size of a chunk before compression [bytes]; a chunk has at least one message.
+    flush_slots
+        After every so many slots all that is buffered goes to the operating system: so many slots
+        at most are lost when the process is killed.
+    max_bytes
+        No file becomes larger than this [bytes]: ``run.mcap`` becomes ``run_000.mcap``,
+        ``run_001.mcap`` and so on, complete files that carry their number as ``part`` in the
+        metadata. None writes one file, of any size.
 
     Raises
     ------
@@ -84,62 +72,69 @@ class LogWriter:
         slot_ns: int,
         compression: str = "zstd",
         chunk_bytes: int = 1 << 20,
+        flush_slots: int = 1 << 12,
+        max_bytes: int | None = None,
     ) -> None:
         _check_choice("profile", profile, PROFILES)
         _check_choice("compression", compression, COMPRESSIONS)
         _check_range("slot_ns", slot_ns, 1, 1 << 31)
         _check_range("chunk_bytes", chunk_bytes, 1, MAX_CHUNK_BYTES)
+        _check_range("flush_slots", flush_slots, 1, MAX_SLOT)
         self.path = Path(path)
-        self._part = self.path.with_name(self.path.name + ".part")
-        self._slot_ns = slot_ns
-        self._chunk_bytes = chunk_bytes
-        self._profile = profile
+        self._max_bytes = max_bytes
+        self._flush_slots = flush_slots
+        self._unflushed = 0
         self._next_slot = 0
-        self._events: list[Event] = []
-        self._event_bytes = 0
-        ids = channel_ids(profile)
-        self._events_id = ids[EVENTS_TOPIC]
-        self._buffers = [
-            TopicBuffer(layout, slot_ns, chunk_bytes, ids[topic.name])
-            for topic in TOPICS.values()
-            if (layout := record_layout(topic, dims, profile, ids.get(topic.name, 0)))
-        ]
-        text = self._full_metadata(dims, metadata or {})
+        self._finished: list[Path] = []
         files = dict(sorted({**(attachments or {}), "hiersched.proto": proto_source()}.items()))
-        self._stream = open(self._part, "wb")
-        self._container = Container(self._stream, library=LIBRARY, compression=compression)
-        self._write_preamble(text, files, ids)
+        self._settings = PartSettings(
+            dims=dims,
+            profile=profile,
+            slot_ns=slot_ns,
+            compression=compression,
+            chunk_bytes=chunk_bytes,
+            attachments=files,
+        )
+        self._metadata = self._full_metadata(dims, metadata or {})
+        self._part = self._open_part()
+        if max_bytes is not None and self._part.most_bytes > max_bytes:
+            least = self._part.most_bytes
+            self._part.discard()
+            raise ValueError(
+                f"max_bytes is {max_bytes}; allowed: at least {least}, room for the attachments "
+                f"and one chunk of each topic (smaller chunk_bytes, now {chunk_bytes}, need less)"
+            )
 
     def _full_metadata(self, dims: LogDims, given: Mapping[str, str]) -> dict[str, str]:
-        """Join the caller's metadata and our own, sorted by key."""
+        """Join the caller's metadata and our own."""
         own = {
             "schema_version": str(SCHEMA_VERSION),
-            "slot_ns": str(self._slot_ns),
+            "slot_ns": str(self._settings.slot_ns),
             "num_urllc": str(dims.num_urllc),
             "num_embb": str(dims.num_embb),
             "num_prb": str(dims.num_prb),
-            "profile": self._profile,
+            "profile": self._settings.profile,
         }
         for key, value in given.items():
             if not isinstance(value, str):
                 raise TypeError(f"metadata {key} is {value!r}; allowed: a string")
             if own.get(key, value) != value:
                 raise ValueError(f"metadata {key} is {value!r}, but the log has {own[key]!r}")
-        return dict(sorted({**given, **own}.items()))
+        return {**given, **own}
 
-    def _write_preamble(
-        self, metadata: Mapping[str, str], attachments: Mapping[str, bytes], ids: dict[str, int]
-    ) -> None:
-        """Write all that precedes the chunks."""
-        crc = self._container.add_metadata(METADATA_NAME, metadata)
-        for name, data in attachments.items():
-            media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
-            self._container.add_attachment(name, media_type, data)
-        # Channels are repeated in the summary, whose checksum thereby covers the metadata.
-        note = {"metadata_crc32": f"{crc:08x}"}
-        for name, channel_id in ids.items():
-            message = EVENTS_SCHEMA if name == EVENTS_TOPIC else TOPICS[name].message
-            self._container.add_channel(channel_id, name, message, descriptor_set(message), note)
+    def _open_part(self) -> LogPart:
+        """Open the next file."""
+        path, metadata = self.path, self._metadata
+        if self._max_bytes is not None:
+            number = len(self._finished)
+            path = path.with_name(f"{path.stem}_{number:03d}{path.suffix}")
+            metadata = {**metadata, "part": str(number)}
+        return LogPart(path, self._settings, dict(sorted(metadata.items())))
+
+    @property
+    def paths(self) -> tuple[Path, ...]:
+        """Files that are complete."""
+        return tuple(self._finished)
 
     def write_block(self, first_slot: int, fields: Mapping[str, NDArray[Any]]) -> None:
         """Write consecutive slots.
@@ -170,30 +165,42 @@ class LogWriter:
         done = 0
         while done < count:
             # All topics advance together, so that the order of chunks does not depend on blocks.
-            stop = min(count, *(done + buffer.free for buffer in self._buffers))
-            for buffer in self._buffers:
-                buffer.fill(first_slot, blocks, done, stop)
-            for buffer in self._buffers:
-                if buffer.free == 0:
-                    buffer.flush(self._container)
-            done = stop
-        self._next_slot = first_slot + count
+            step = min(count - done, self._part.free, self._flush_slots - self._unflushed)
+            self._part.fill(first_slot, blocks, done, done + step)
+            done += step
+            self._next_slot = first_slot + done
+            self._unflushed += step
+            if self._unflushed == self._flush_slots:
+                self.flush()
+            self._rotate_if_full()
+
+    def _rotate_if_full(self) -> None:
+        """Go on in a new file when another chunk of each topic might be too much for this one."""
+        if self._max_bytes is not None and self._part.most_bytes > self._max_bytes:
+            self._finish_part()
+            self._part = self._open_part()
+
+    def _finish_part(self) -> None:
+        self._unflushed = 0
+        self._part.finish()
+        self._finished.append(self._part.path)
 
     def _prepare(self, fields: Mapping[str, NDArray[Any]]) -> tuple[dict[str, NDArray[Any]], int]:
         """Check a block and turn its fields into arrays of raw bytes, shape (T,)."""
-        known = {field.name for topic in TOPICS.values() for field in topic.fields} - {"slot"}
-        expected = {name for buffer in self._buffers for name in buffer.layout.values}
-        unknown, missing = sorted(set(fields) - known), sorted(expected - set(fields))
+        layouts = [buffer.layout for buffer in self._part.buffers]
+        expected = {name for layout in layouts for name in layout.values}
+        unknown, missing = sorted(set(fields) - _KNOWN_FIELDS), sorted(expected - set(fields))
         if unknown or missing:
             raise ValueError(f"fields unknown to the log: {unknown}; fields missing: {missing}")
-        count = np.shape(fields[next(iter(self._buffers[0].layout.values))])[0]
+        count = np.shape(fields[next(iter(layouts[0].values))])[0]
         blocks = {}
-        for buffer in self._buffers:
-            for name, (dtype, shape) in buffer.layout.values.items():
+        for layout in layouts:
+            for name, (dtype, shape) in layout.values.items():
                 values = np.asarray(fields[name])
                 if values.shape != (count, *shape):
                     raise ValueError(f"{name} has shape {values.shape}; allowed: {(count, *shape)}")
-                _check_lossless(name, values.dtype, dtype)
+                if values.dtype != dtype:
+                    _check_lossless(name, values.dtype, dtype)
                 blocks[name] = as_raw(np.ascontiguousarray(values, dtype))
         return blocks, count
 
@@ -213,46 +220,27 @@ class LogWriter:
         """
         self._check_open()
         _check_range("slot", slot, 0, MAX_SLOT - 1)
-        event = Event(slot, level, name, message)
-        self._event_bytes += len(encode_event(event, self._slot_ns, self._events_id))
-        self._events.append(event)
-        if self._event_bytes >= self._chunk_bytes:
-            self._flush_events()
+        self._part.add_event(Event(slot, level, name, message))
+        self._rotate_if_full()
 
-    def _flush_events(self) -> None:
-        """Write the events so far as a chunk, by slot, in the order of calls within a slot."""
-        if not self._events:
-            return
-        events = sorted(self._events, key=lambda event: event.slot)
-        records = [encode_event(event, self._slot_ns, self._events_id) for event in events]
-        times = np.array([event.slot * self._slot_ns for event in events], np.uint64)
-        offsets = np.cumsum([0] + [len(record) for record in records[:-1]]).astype(np.uint64)
-        self._container.add_chunk(self._events_id, b"".join(records), times, offsets)
-        self._events, self._event_bytes = [], 0
-
-    def _flush(self) -> None:
-        """Write all that is buffered."""
-        for buffer in self._buffers:
-            buffer.flush(self._container)
-        self._flush_events()
+    def flush(self) -> None:
+        """Hand all that is buffered to the operating system: a killed process does not lose it."""
+        self._check_open()
+        self._part.flush()
+        self._unflushed = 0
 
     def close(self) -> None:
         """Complete the file and give it its name."""
         self._check_open()
-        with self._stream:
-            self._flush()
-            self._container.finish()
-        os.replace(self._part, self.path)
+        self._finish_part()
 
     def abort(self) -> None:
         """Leave ``<path>.part`` behind, with every slot written so far but no summary."""
-        if self._stream.closed:
-            return
-        with self._stream, contextlib.suppress(OSError):  # the first error is what matters
-            self._flush()
+        if not self._part.closed:
+            self._part.abort()
 
     def _check_open(self) -> None:
-        if self._stream.closed:
+        if self._part.closed:
             raise ValueError(f"{self.path}: the log is closed")
 
     def __enter__(self) -> Self:
@@ -266,7 +254,7 @@ class LogWriter:
     ) -> None:
         if exc_type is not None:
             self.abort()
-        elif not self._stream.closed:
+        elif not self._part.closed:
             self.close()
 
 

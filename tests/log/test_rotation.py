@@ -1,0 +1,157 @@
+"""What is on disk while a log is being written, and how a log goes on in the next file."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.exceptions import EndOfFile
+from mcap.records import Chunk, Message
+from mcap.stream_reader import StreamReader
+
+from hiersched.log import TOPICS, LogDims, LogReader, LogWriter
+
+SLOT_NS = 10_000_000
+FLUSH = 50
+
+KILLED = """
+import sys, time
+import numpy as np
+from hiersched.log import TOPICS, LogDims, LogWriter
+
+dims = LogDims(num_urllc=3, num_embb=2, num_prb=7)
+log = LogWriter(sys.argv[1], dims, slot_ns=10_000_000, flush_slots=50)
+slot = 0
+while True:
+    fields = {
+        field.name: np.full((1, *field.concrete_shape(dims)), slot, field.dtype)
+        for topic in TOPICS.values() for field in topic.fields[1:]
+    }
+    log.write_block(slot, fields)
+    log.event(slot, "INFO", "run", f"slot {slot}")
+    print(slot, flush=True)
+    slot += 1
+"""
+
+
+def slots_on_disk(path: Path) -> dict[int, int]:
+    """Messages in the chunks that are complete, by channel."""
+    counts: dict[int, int] = dict.fromkeys(range(1, 8), 0)
+    with path.open("rb") as stream, contextlib.suppress(EndOfFile):
+        for record in StreamReader(stream).records:
+            if isinstance(record, Message):
+                counts[record.channel_id] += 1
+    return counts
+
+
+def test_a_killed_process_loses_one_flush_interval_at_most(tmp_path: Path) -> None:
+    part = tmp_path / "a.mcap.part"
+    with subprocess.Popen(
+        [sys.executable, "-c", KILLED, str(tmp_path / "a.mcap")], stdout=subprocess.PIPE
+    ) as process:
+        assert process.stdout is not None
+        for _ in range(3 * FLUSH + 20):
+            last = int(process.stdout.readline())
+        process.send_signal(signal.SIGKILL)
+        rest = process.stdout.read().split()
+        process.wait()
+    last = int(rest[-1]) if rest else last
+    assert process.returncode == -signal.SIGKILL
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap.part"]
+    for count in slots_on_disk(part).values():
+        assert last + 1 - FLUSH <= count <= last + 2
+
+
+def test_flush_writes_what_there_is(tmp_path: Path, random_fields: Any, dims: LogDims) -> None:
+    with LogWriter(tmp_path / "a.mcap", dims, slot_ns=SLOT_NS) as log:
+        log.write_block(0, random_fields(9))
+        log.event(3, "INFO", "run", "text")
+        assert set(slots_on_disk(tmp_path / "a.mcap.part").values()) == {0}
+        log.flush()
+        assert [*slots_on_disk(tmp_path / "a.mcap.part").values()] == [*[9] * len(TOPICS), 1]
+
+
+def test_chunks_end_at_flushes_however_blocks_are_cut(
+    tmp_path: Path, random_fields: Any, write_log: Any
+) -> None:
+    fields = random_fields(100)
+    contents = {
+        write_log(tmp_path / "a.mcap", fields, block=block, flush_slots=7).read_bytes()
+        for block in (1, 13, 100)
+    }
+    assert len(contents) == 1
+    assert write_log(tmp_path / "a.mcap", fields, flush_slots=8).read_bytes() not in contents
+
+
+@pytest.mark.parametrize("max_bytes", [80_000, 120_000])
+def test_rotation_writes_complete_files_within_the_limit(
+    tmp_path: Path, random_fields: Any, write_log: Any, max_bytes: int
+) -> None:
+    fields = random_fields(1000)
+    write_log(tmp_path / "run.mcap", fields, max_bytes=max_bytes, chunk_bytes=4000)
+    files = sorted(tmp_path.iterdir())
+    assert [file.name for file in files] == [f"run_{i:03d}.mcap" for i in range(len(files))]
+    assert len(files) > 4
+    assert max(file.stat().st_size for file in files) <= max_bytes
+    assert files[0].stat().st_size > 0.5 * max_bytes
+    slots, backlog, events = [], [], 0
+    for number, file in enumerate(files):
+        with LogReader(file) as log:
+            assert log.metadata["part"] == str(number)
+            assert log.attachments["scenario.yaml"] == b"name: test\n"
+            queue = log.read("/queue")
+            slots += queue["slot"].tolist()
+            backlog.append(queue["backlog_packets"])
+            events += len(log.events())
+    assert slots == list(range(1000))
+    assert np.concatenate(backlog).tobytes() == fields["backlog_packets"].tobytes()
+    assert events == 4
+
+
+def test_rotation_does_not_depend_on_blocks(
+    tmp_path: Path, random_fields: Any, write_log: Any
+) -> None:
+    fields = random_fields(600)
+    contents = []
+    for block in (7, 600):
+        folder = tmp_path / str(block)
+        folder.mkdir()
+        write_log(folder / "a.mcap", fields, max_bytes=80_000, chunk_bytes=4000, block=block)
+        contents.append({file.name: file.read_bytes() for file in folder.iterdir()})
+    assert len(contents[0]) > 2
+    assert contents[0] == contents[1]
+
+
+def test_a_limit_without_room_is_refused(tmp_path: Path, dims: LogDims) -> None:
+    with pytest.raises(ValueError, match=r"max_bytes is 9000; allowed: at least \d+, room for"):
+        LogWriter(tmp_path / "a.mcap", dims, slot_ns=1, max_bytes=9000, chunk_bytes=4000)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_finished_files_are_named_as_they_come(
+    tmp_path: Path, random_fields: Any, dims: LogDims
+) -> None:
+    with LogWriter(tmp_path / "a.mcap", dims, slot_ns=1, max_bytes=80_000, chunk_bytes=4000) as log:
+        assert log.paths == ()
+        log.write_block(0, random_fields(400))
+        assert log.paths == tuple(tmp_path / f"a_{i:03d}.mcap" for i in range(len(log.paths)))
+        assert len(log.paths) > 1
+        assert all(path.exists() for path in log.paths)
+
+
+def test_random_topics_are_stored_and_the_others_compressed(
+    tmp_path: Path, random_fields: Any, write_log: Any
+) -> None:
+    path = write_log(tmp_path / "a.mcap", random_fields(100))
+    with path.open("rb") as stream:
+        chunks = [r for r in StreamReader(stream, emit_chunks=True).records if isinstance(r, Chunk)]
+    topics = [*TOPICS, "/events"]
+    channels = [int.from_bytes(c.data[9:11], "little") for c in chunks if c.compression == ""]
+    assert {topics[channel - 1] for channel in channels} == {"/channel", "/world"}
+    assert {c.compression for c in chunks} == {"", "zstd"}
