@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import os
 import re
 import struct
 import zlib
 from io import BytesIO
-from pathlib import Path
 from typing import Any
 
-import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import (
-    Attachment,
     AttachmentIndex,
     Channel,
     ChunkIndex,
@@ -26,13 +22,13 @@ from mcap.records import (
 )
 
 from hiersched.log.container import (
-    CHUNK_START,
     DATA_END_BYTES,
     FOOTER_BYTES,
     FOOTER_START,
     MAGIC,
 )
 from hiersched.log.errors import LogError, reading
+from hiersched.log.recordfile import RECORD_START, RecordFile
 from hiersched.log.schema import (
     EVENTS_SCHEMA,
     EVENTS_TOPIC,
@@ -44,13 +40,8 @@ from hiersched.log.schema import (
     channel_ids,
     descriptor_set,
 )
+from hiersched.log.walk import walk
 
-_RECORD_START = struct.Struct("<BQ")
-_DATA_OPCODES: dict[Any, int] = {
-    Header: Opcode.HEADER,
-    Metadata: Opcode.METADATA,
-    Attachment: Opcode.ATTACHMENT,
-}
 _SUMMARY_TYPES: dict[int, Any] = {
     Opcode.SCHEMA: Schema,
     Opcode.CHANNEL: Channel,
@@ -61,7 +52,7 @@ _SUMMARY_TYPES: dict[int, Any] = {
 }
 
 
-class LogFile:
+class LogFile(RecordFile):
     """An open log; `load` has to succeed before anything else is asked of it.
 
     Parameters
@@ -69,16 +60,6 @@ class LogFile:
     path
         The file.
     """
-
-    def __init__(self, path: str | os.PathLike[str]) -> None:
-        self.path = Path(path)
-        self._stream = open(self.path, "rb")
-        self._size = os.fstat(self._stream.fileno()).st_size
-        self._zstd = zstandard.ZstdDecompressor()
-
-    def close(self) -> None:
-        """Close the file."""
-        self._stream.close()
 
     def load(self, *, whole: bool) -> None:
         """Check the framing, the checksums and the versions, and read the summary.
@@ -89,40 +70,54 @@ class LogFile:
             Check the bytes of the data section too.
         """
         self._check_start()
+        self._check_end()
         self._load_summary()
         self._check_data_end(whole)
         self._load_metadata()
         self._load_channels()
 
-    def _fail(self, offset: int, what: str) -> LogError:
-        return LogError(self.path, offset, what)
+    def load_without_summary(self) -> list[LogError]:
+        """Read what a writer left that never came to write the summary, record by record.
 
-    def _read(self, offset: int, length: int) -> bytes:
-        """Read bytes that have to be there."""
-        if offset < 0 or length < 0 or offset + length > self._size:
-            raise self._fail(self._size, f"{length} bytes at {offset} lie outside of the file")
-        self._stream.seek(offset)
-        data = self._stream.read(length)
-        if len(data) != length:
-            raise self._fail(offset + len(data), "the file became shorter while it was read")
-        return data
+        Returns
+        -------
+        list of LogError
+            What could not be read.
+        """
+        self._check_start()
+        self.summary_start = self.size
+        found = walk(self.path, self.size, self.read, self.chunk_data)
+        self._take_summary(found.records)
+        self._load_metadata()
+        self._load_channels()
+        return found.losses
 
     def _check_start(self) -> None:
         """Check that this is an MCAP file, complete, and a log of a version that we know."""
-        if self._size == 0:
+        if self.size == 0:
             raise self._fail(0, "the file is empty")
-        if self._read(0, min(len(MAGIC), self._size)) != MAGIC[: self._size]:
+        if self.read(0, min(len(MAGIC), self.size)) != MAGIC[: self.size]:
             raise self._fail(0, "this is not an MCAP file")
-        least = len(MAGIC) + _RECORD_START.size + 8 + DATA_END_BYTES + FOOTER_BYTES + len(MAGIC)
-        if self._size < least or self._read(self._size - len(MAGIC), len(MAGIC)) != MAGIC:
-            raise self._fail(
-                self._size, "the file is truncated: it does not end as an MCAP file has to"
-            )
+        if self.size < len(MAGIC) + RECORD_START.size + 8:
+            raise self._truncated()
         header = self.record(len(MAGIC), None, Header)
         match = re.fullmatch(r"hiersched-log/([1-9][0-9]{0,8})", header.library)
         if match is None:
             raise self._fail(len(MAGIC), f"this MCAP file is by {header.library!r}, not a log")
         self._check_version(int(match[1]), len(MAGIC))
+
+    def _truncated(self) -> LogError:
+        return self._fail(
+            self.size,
+            "the file is truncated: it does not end as an MCAP file has to "
+            "(hiersched recover gets back what there is)",
+        )
+
+    def _check_end(self) -> None:
+        """Check that the file is complete."""
+        least = len(MAGIC) + RECORD_START.size + 8 + DATA_END_BYTES + FOOTER_BYTES + len(MAGIC)
+        if self.size < least or self.read(self.size - len(MAGIC), len(MAGIC)) != MAGIC:
+            raise self._truncated()
 
     def _check_version(self, version: int, offset: int) -> None:
         if version != SCHEMA_VERSION:
@@ -135,15 +130,15 @@ class LogFile:
 
     def _load_summary(self) -> None:
         """Check the footer and the summary's checksum and read the summary."""
-        footer = self._size - len(MAGIC) - FOOTER_BYTES
-        data = self._read(footer, FOOTER_BYTES)
+        footer = self.size - len(MAGIC) - FOOTER_BYTES
+        data = self.read(footer, FOOTER_BYTES)
         opcode, length, self.summary_start, offset_start = FOOTER_START.unpack_from(data)
         least = len(MAGIC) + DATA_END_BYTES
         if (opcode, length) != (Opcode.FOOTER, 20) or not (
             least <= self.summary_start <= offset_start <= footer
         ):
             raise self._fail(footer, "the footer is damaged")
-        summary = self._read(self.summary_start, footer - self.summary_start)
+        summary = self.read(self.summary_start, footer - self.summary_start)
         crc = zlib.crc32(data[: FOOTER_START.size], zlib.crc32(summary))
         if data[FOOTER_START.size :] != crc.to_bytes(4, "little"):
             raise self._fail(self.summary_start, "the summary does not match its checksum")
@@ -151,8 +146,8 @@ class LogFile:
         with reading(self.path, self.summary_start, "the summary"):
             position = 0
             while position < offset_start - self.summary_start:
-                opcode, length = _RECORD_START.unpack_from(summary, position)
-                position += _RECORD_START.size
+                opcode, length = RECORD_START.unpack_from(summary, position)
+                position += RECORD_START.size
                 body = summary[position : position + length]
                 if kind := _SUMMARY_TYPES.get(opcode):
                     records[kind].append(kind.read(ReadDataStream(BytesIO(body))))
@@ -179,44 +174,18 @@ class LogFile:
     def _check_data_end(self, whole: bool) -> None:
         """Check the DataEnd record, and the checksum of all bytes before it if asked."""
         end = self.summary_start - DATA_END_BYTES
-        opcode, length, stored = struct.unpack("<BQI", self._read(end, DATA_END_BYTES))
+        opcode, length, stored = struct.unpack("<BQI", self.read(end, DATA_END_BYTES))
         if (opcode, length) != (Opcode.DATA_END, 4):
             raise self._fail(end, "the end of the data section is damaged")
         if not whole:
             return
         crc, position, step = 0, 0, 1 << 20
         while position < end:
-            data = self._read(position, min(step, end - position))
+            data = self.read(position, min(step, end - position))
             crc = zlib.crc32(data, crc)
             position += len(data)
         if crc != stored:
             raise self._fail(end, "the data section does not match its checksum")
-
-    def record(self, offset: int, length: int | None, kind: Any, *, crc_bytes: int = 0) -> Any:
-        """Read one record.
-
-        Parameters
-        ----------
-        offset, length
-            Where it lies [bytes]; None takes the length that the record itself names.
-        kind
-            Header, Metadata or Attachment, of `mcap.records`.
-        crc_bytes
-            4 if its last four bytes are a checksum of its content.
-
-        Returns
-        -------
-        McapRecord
-            The record.
-        """
-        opcode, named = _RECORD_START.unpack(self._read(offset, _RECORD_START.size))
-        if opcode != _DATA_OPCODES[kind] or length not in (None, _RECORD_START.size + named):
-            raise self._fail(offset, f"there is no {kind.__name__} record as announced")
-        body = self._read(offset + _RECORD_START.size, named)
-        if crc_bytes and zlib.crc32(body[:-4]).to_bytes(4, "little") != body[-4:]:
-            raise self._fail(offset, f"the {kind.__name__} does not match its checksum")
-        with reading(self.path, offset, f"the {kind.__name__}"):
-            return kind.read(ReadDataStream(BytesIO(body)))
 
     def _load_metadata(self) -> None:
         """Read the metadata record and what it says about the layout."""
@@ -224,7 +193,7 @@ class LogFile:
         if len(places) != 1:
             raise self._fail(self.summary_start, f"there is no metadata {METADATA_NAME!r}")
         offset, length = places[0].offset, places[0].length
-        record = self._read(offset, length)
+        record = self.read(offset, length)
         crc = f"{zlib.crc32(record):08x}"
         if any(c.metadata.get("metadata_crc32") != crc for c in self._channels.values()):
             raise self._fail(offset, "the metadata do not match their checksum")
@@ -263,53 +232,3 @@ class LogFile:
             if len(ids) != 1 or ids[0] not in topics:
                 raise self._fail(chunk.chunk_start_offset, f"a chunk has channels {ids}")
             self.chunks[topics[ids[0]]].append(chunk)
-
-    def chunk_data(self, index: ChunkIndex) -> bytes | memoryview:
-        """Read a chunk, check it, and undo its compression.
-
-        Parameters
-        ----------
-        index
-            Its entry in the summary.
-
-        Returns
-        -------
-        bytes or memoryview
-            Its message records.
-        """
-        offset = index.chunk_start_offset
-        record = self._read(offset, index.chunk_length)
-        name = index.compression.encode()
-        names = struct.pack("<I", len(name)) + name + struct.pack("<Q", index.compressed_size)
-        data = memoryview(record)[CHUNK_START.size + len(names) :]
-        start = (
-            Opcode.CHUNK,
-            len(record) - _RECORD_START.size,
-            index.message_start_time,
-            index.message_end_time,
-            index.uncompressed_size,
-        )
-        *head, stored = CHUNK_START.unpack_from(record)
-        if (
-            tuple(head) != start
-            or record[CHUNK_START.size : CHUNK_START.size + len(names)] != names
-            or len(data) != index.compressed_size
-        ):
-            raise self._fail(offset, "a chunk does not match its entry in the summary")
-        content = self._decompress(index, data)
-        if len(content) != index.uncompressed_size or zlib.crc32(content) != stored:
-            raise self._fail(offset, "a chunk does not match its checksum")
-        return content
-
-    def _decompress(self, index: ChunkIndex, data: memoryview) -> bytes | memoryview:
-        """Undo the compression of a chunk."""
-        if index.compression == "":
-            return data
-        offset = index.chunk_start_offset
-        if index.compression != "zstd":
-            raise self._fail(offset, f"a chunk has compression {index.compression!r}")
-        with reading(self.path, offset, "a chunk"):
-            # Its own header says how much memory it wants: do not believe it blindly.
-            if zstandard.frame_content_size(data) != index.uncompressed_size:
-                raise ValueError("the compressed data have another size")
-            return self._zstd.decompress(data)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import cached_property
 from types import TracebackType
 from typing import Any, Literal, Self
 
 import numpy as np
-from mcap.records import Attachment, ChunkIndex
+from mcap.records import ChunkIndex
 from numpy.typing import NDArray
 
 from hiersched.log.errors import LogError, reading
@@ -56,17 +56,25 @@ class LogReader:
     ) -> None:
         if verify not in ("file", "chunks"):
             raise ValueError(f"verify is {verify!r}; allowed: file, chunks")
-        self._file = LogFile(path)
+        file = LogFile(path)
         try:
-            self._file.load(whole=verify == "file")
-            self._load_layouts()
+            file.load(whole=verify == "file")
+            self._take(file)
+            self._check_counts()
         except BaseException:
-            self._file.close()
+            file.close()
             raise
 
-    def _load_layouts(self) -> None:
-        """Lay out the records of each topic and check that whole records fill the chunks."""
-        file = self._file
+    @classmethod
+    def of(cls, file: LogFile) -> Self:
+        """Read a file whose summary was put together by hand: for `recover` alone."""
+        reader = cls.__new__(cls)
+        reader._take(file)
+        return reader
+
+    def _take(self, file: LogFile) -> None:
+        """Lay out the records of each topic."""
+        self._file = file
         self.path = file.path
         self.metadata = file.metadata
         self.dims, self.profile, self.slot_ns = file.dims, file.profile, file.slot_ns
@@ -76,19 +84,20 @@ class LogReader:
                 layout = record_layout(TOPICS[name], self.dims, self.profile, channel_id)
                 assert layout is not None  # the profile has a channel for the topic
                 self._layouts[name] = layout
-                self._check_counts(name, layout.dtype.itemsize)
         self.topics = tuple(self._layouts)
 
-    def _check_counts(self, name: str, itemsize: int) -> None:
-        """Compare the sizes of a topic's chunks with the number of its messages."""
-        sizes = [chunk.uncompressed_size for chunk in self._file.chunks[name]]
-        if any(size % itemsize for size in sizes) or sum(sizes) != itemsize * self._count(name):
-            raise LogError(
-                self.path,
-                self._file.summary_start,
-                f"the chunks of {name} have {sum(sizes)} bytes, "
-                f"its {self._count(name)} messages of {itemsize} bytes need another number",
-            )
+    def _check_counts(self) -> None:
+        """Check that the messages of each topic fill its chunks."""
+        for name, layout in self._layouts.items():
+            itemsize = layout.dtype.itemsize
+            sizes = [chunk.uncompressed_size for chunk in self._file.chunks[name]]
+            if any(size % itemsize for size in sizes) or sum(sizes) != itemsize * self._count(name):
+                raise LogError(
+                    self.path,
+                    self._file.summary_start,
+                    f"the chunks of {name} have {sum(sizes)} bytes, "
+                    f"its {self._count(name)} messages of {itemsize} bytes need another number",
+                )
 
     def _count(self, name: str) -> int:
         return self._file.message_counts[self._file.channel_ids[name]]
@@ -101,15 +110,7 @@ class LogReader:
     @cached_property
     def attachments(self) -> dict[str, bytes]:
         """Attached files by name."""
-        return {
-            index.name: self._attachment(index.offset, index.length)
-            for index in self._file.attachment_indexes
-        }
-
-    def _attachment(self, offset: int, length: int) -> bytes:
-        record = self._file.record(offset, length, Attachment, crc_bytes=4)
-        data: bytes = record.data
-        return data
+        return {index.name: self._file.attachment(index) for index in self._file.attachment_indexes}
 
     def read(
         self,
@@ -209,6 +210,18 @@ class LogReader:
                     f"a chunk of {topic} has messages that do not follow the schema ({name})",
                 )
         return rows
+
+    def records(self, topic: str) -> Iterator[NDArray[Any]]:
+        """Yield a topic's Message records as they lie in the file, one array a chunk.
+
+        Raises
+        ------
+        LogError
+            If the log has no such topic, or is damaged.
+        """
+        layout = self._layout(topic)
+        for chunk in self._file.chunks[topic]:
+            yield self._rows(topic, chunk, layout)
 
     def events(self) -> list[Event]:
         """Read the events, by slot.

@@ -1,0 +1,174 @@
+"""Gets back what a killed writer left, or what damage spared, as a log that can be trusted."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from functools import reduce
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from mcap.records import ChunkIndex
+from numpy.typing import NDArray
+
+from hiersched.log.errors import LogError
+from hiersched.log.logfile import LogFile
+from hiersched.log.reader import LogReader
+from hiersched.log.writer import LogWriter
+
+_BLOCK_SLOTS = 4096
+_OWN_KEYS = ("schema_version", "slot_ns", "num_urllc", "num_embb", "num_prb", "profile")
+
+
+@dataclass(frozen=True)
+class Recovery:
+    """What `recover` did.
+
+    Attributes
+    ----------
+    path
+        The new log.
+    spans
+        First slot and slot behind the last, of each stretch that is in the new log.
+    num_events
+        Events in the new log.
+    losses
+        What could not be read or was left out, one line each; empty if nothing is missing but what
+        never reached the file.
+    """
+
+    path: Path
+    spans: tuple[tuple[int, int], ...]
+    num_events: int
+    losses: tuple[str, ...]
+
+    @property
+    def num_slots(self) -> int:
+        """Slots in the new log."""
+        return sum(stop - start for start, stop in self.spans)
+
+
+def recovered_path(path: Path) -> Path:
+    """Name of the recovered log: ``run.mcap`` and ``run.mcap.part`` give ``run.recovered.mcap``."""
+    name = path.name.removesuffix(".part")
+    return path.with_name(f"{Path(name).stem}.recovered.mcap")
+
+
+def recover(path: str | os.PathLike[str], out: str | os.PathLike[str] | None = None) -> Recovery:
+    """Write the slots of a damaged or unfinished log that are whole into a new log.
+
+    A slot is whole when its message is there on every topic of the log.
+
+    Parameters
+    ----------
+    path
+        The log; it is not changed.
+    out
+        The new log, `recovered_path` unless given. It must not exist.
+
+    Returns
+    -------
+    Recovery
+        What is in the new log, and what is not.
+
+    Raises
+    ------
+    LogError
+        If the file is no log, or its metadata or topics cannot be read.
+    FileExistsError
+        If `out` exists.
+    """
+    source = Path(path)
+    target = recovered_path(source) if out is None else Path(out)
+    for taken in (target, target.with_name(target.name + ".part")):
+        if taken.exists():
+            raise FileExistsError(f"{taken}: exists; recover never overwrites a file")
+    file = LogFile(source)
+    try:
+        losses = _load(file)
+        losses += _drop_unreadable(file)
+        with LogReader.of(file) as log:
+            return _rewrite(log, target, losses)
+    finally:
+        file.close()
+
+
+def _load(file: LogFile) -> list[str]:
+    """Read the summary or, without one, all records."""
+    try:
+        file.load(whole=False)
+    except LogError as error:
+        complaint = error
+    else:
+        return []
+    losses = file.load_without_summary()
+    if not any(chunks for chunks in file.chunks.values()):
+        losses.append(complaint)
+    return [f"at byte {loss.offset}: {loss.what}" for loss in losses]
+
+
+def _drop_unreadable(file: LogFile) -> list[str]:
+    """Forget chunks and attachments that are damaged, and say which."""
+    losses = []
+    for topic, chunks in file.chunks.items():
+        bad = []
+        for chunk in chunks:
+            try:
+                file.chunk_data(chunk)
+            except LogError as error:
+                bad.append(chunk)
+                losses.append(f"at byte {error.offset}: {topic}: {error.what}{_span(file, chunk)}")
+        for chunk in bad:
+            chunks.remove(chunk)
+    for index in list(file.attachment_indexes):
+        try:
+            file.attachment(index)
+        except LogError as error:
+            losses.append(f"at byte {error.offset}: attachment {index.name}: {error.what}")
+            file.attachment_indexes.remove(index)
+    return losses
+
+
+def _span(file: LogFile, chunk: ChunkIndex) -> str:
+    first, last = (t // file.slot_ns for t in (chunk.message_start_time, chunk.message_end_time))
+    return f" (slots {first} to {last})"
+
+
+def _rewrite(log: LogReader, target: Path, losses: list[str]) -> Recovery:
+    """Copy the whole slots, the events and the attachments."""
+    slots = {topic: log.read(topic, [])["slot"] for topic in log.topics}
+    whole = reduce(np.intersect1d, slots.values())
+    for topic, present in slots.items():
+        if len(present) > len(whole):
+            losses.append(f"{topic}: {len(present) - len(whole)} slots that other topics lack")
+    spans = _spans(whole)
+    events = log.events()
+    metadata = {k: v for k, v in log.metadata.items() if k not in _OWN_KEYS}
+    with LogWriter(
+        target,
+        log.dims,
+        log.profile,
+        {**metadata, "recovered_losses": "; ".join(losses)},
+        {name: data for name, data in log.attachments.items() if name != "hiersched.proto"},
+        slot_ns=log.slot_ns,
+    ) as writer:
+        for start, stop in spans:
+            for first in range(start, stop, _BLOCK_SLOTS):
+                part = first, min(stop, first + _BLOCK_SLOTS)
+                fields: dict[str, NDArray[Any]] = {}
+                for topic in log.topics:
+                    fields |= log.read(topic, None, *part)
+                del fields["slot"]
+                writer.write_block(first, fields)
+        for event in events:
+            writer.event(event.slot, event.level, event.name, event.message)
+    return Recovery(target, spans, len(events), tuple(losses))
+
+
+def _spans(slots: NDArray[np.uint64]) -> tuple[tuple[int, int], ...]:
+    """Cut ascending slots into stretches without a gap."""
+    if not len(slots):
+        return ()
+    breaks = np.flatnonzero(np.diff(slots) != 1) + 1
+    return tuple((int(part[0]), int(part[-1]) + 1) for part in np.split(slots, breaks))
