@@ -4,18 +4,19 @@ import numpy as np
 import pytest
 
 from hiersched.control import certify
-from hiersched.control.krasovskii import KrasovskiiSynthesis, analyse
+from hiersched.control.krasovskii import analyse_krasovskii
+from hiersched.control.krasovskii_synthesis import KrasovskiiSynthesis
 
 
 @pytest.mark.parametrize("steps", [0, 1, 8, 14, 15])
 def test_fridmans_example_is_certified_up_to_15(fridman, steps):
-    assert certify(*fridman, steps, analyse(*fridman, steps)).certified
+    assert certify(*fridman, steps, analyse_krasovskii(*fridman, steps)).certified
 
 
 @pytest.mark.parametrize("steps", [16, 17, 18])
 def test_fridmans_example_is_not_certified_from_16_on(fridman, steps):
     # Constant delays are stable up to 18: the condition is conservative there, not wrong.
-    certificate = certify(*fridman, steps, analyse(*fridman, steps))
+    certificate = certify(*fridman, steps, analyse_krasovskii(*fridman, steps))
     assert not certificate.certified
     assert (certificate.spectral_radii < 1).all()
 
@@ -24,7 +25,7 @@ def test_analysis_does_not_depend_on_the_units_of_the_state(fridman):
     scale = np.diag([1e3, 1e-2])
     A, A1 = (scale @ M @ np.linalg.inv(scale) for M in fridman)
     for steps, expected in ((14, True), (17, False)):
-        assert certify(A, A1, steps, analyse(A, A1, steps)).certified == expected
+        assert certify(A, A1, steps, analyse_krasovskii(A, A1, steps)).certified == expected
 
 
 def test_certified_loops_survive_varying_delays(simulate):
@@ -35,7 +36,7 @@ def test_certified_loops_survive_varying_delays(simulate):
         A_c, A_d = rng.standard_normal((n, n)), rng.standard_normal((n, n))
         A_c *= rng.uniform(0.5, 1.0) / np.abs(np.linalg.eigvals(A_c)).max()
         A_d *= rng.uniform(0.05, 0.4) / np.linalg.norm(A_d, 2)
-        certificate = certify(A_c, A_d, T, analyse(A_c, A_d, T))
+        certificate = certify(A_c, A_d, T, analyse_krasovskii(A_c, A_d, T))
         if not certificate.certified:
             continue
         certified += 1
@@ -46,10 +47,10 @@ def test_certified_loops_survive_varying_delays(simulate):
 
 
 def test_unstable_loops_are_never_certified():
-    assert analyse(np.diag([1.01, 0.5]), np.zeros((2, 2)), 2) is None
+    assert analyse_krasovskii(np.diag([1.01, 0.5]), np.zeros((2, 2)), 2) is None
     # Stable without delay, unstable from one sample on: x+ = x - 1.5 x(k-1).
-    assert not certify([[1.0]], [[-1.5]], 1, analyse([[1.0]], [[-1.5]], 1)).certified
-    assert certify([[1.0]], [[-1.5]], 0, analyse([[1.0]], [[-1.5]], 0)).certified
+    assert not certify([[1.0]], [[-1.5]], 1, analyse_krasovskii([[1.0]], [[-1.5]], 1)).certified
+    assert certify([[1.0]], [[-1.5]], 0, analyse_krasovskii([[1.0]], [[-1.5]], 0)).certified
 
 
 def test_synthesis_for_the_network_plant_at_one_delay(make_network_plant, simulate):

@@ -6,7 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hiersched.control import DelayedPlant, certify, spectral_radius_by_delay
-from hiersched.control.razumikhin import analyse, analyse_delay_dependent, razumikhin_gamma
+from hiersched.control.razumikhin import (
+    analyse_delay_razumikhin,
+    analyse_razumikhin,
+    razumikhin_gamma,
+)
 from hiersched.control.razumikhin_synthesis import RazumikhinSynthesis
 
 
@@ -49,7 +53,7 @@ def test_certified_loops_survive_every_delay_and_keep_the_rate(simulate):
         A_c, A_d = rng.standard_normal((n, n)), rng.standard_normal((n, n))
         A_c *= rng.uniform(0.3, 0.9) / np.abs(np.linalg.eigvals(A_c)).max()
         A_d *= rng.uniform(0.05, 0.4) / np.linalg.norm(A_d, 2)
-        witness = analyse(A_c, A_d, T, rate)
+        witness = analyse_razumikhin(A_c, A_d, T, rate)
         certificate = certify(A_c, A_d, T, witness)
         if not certificate.certified:
             continue
@@ -71,7 +75,7 @@ def test_largest_rate_of_the_split_plant(make_split_plant, share, largest_rate):
     loop = plant.closed_loop(plant.nominal_gain)
 
     def certified(rate):
-        return certify(*loop, 5, analyse(*loop, 5, rate)).certified
+        return certify(*loop, 5, analyse_razumikhin(*loop, 5, rate)).certified
 
     if largest_rate is None:
         assert not certified(1e-4)
@@ -81,8 +85,8 @@ def test_largest_rate_of_the_split_plant(make_split_plant, share, largest_rate):
 
 
 def test_c2_on_fridmans_example(fridman):
-    assert certify(*fridman, 8, analyse_delay_dependent(*fridman, 8)).certified
-    assert not certify(*fridman, 9, analyse_delay_dependent(*fridman, 9)).certified
+    assert certify(*fridman, 8, analyse_delay_razumikhin(*fridman, 8)).certified
+    assert not certify(*fridman, 9, analyse_delay_razumikhin(*fridman, 9)).certified
 
 
 @pytest.mark.slow
@@ -91,7 +95,7 @@ def test_c2_longest_delay_of_the_split_plant(make_split_plant, share, longest):
     plant = make_split_plant(100.0, share)
     loop = plant.closed_loop(plant.nominal_gain)
     for steps, expected in ((longest, True), (longest + 1, False)):
-        witness = analyse_delay_dependent(*loop, steps)
+        witness = analyse_delay_razumikhin(*loop, steps)
         assert certify(*loop, steps, witness).certified == expected
 
 
@@ -121,7 +125,7 @@ def test_minimal_deviation_is_near_the_brute_force_optimum(rate, brute_force):
     # Halfway back to the nominal gain nothing is certified any more.
     halfway = plant.nominal_gain + 0.9 * (gain - plant.nominal_gain)
     loop = plant.closed_loop(halfway)
-    assert not certify(*loop, 5, analyse(*loop, 5, rate)).certified
+    assert not certify(*loop, 5, analyse_razumikhin(*loop, 5, rate)).certified
 
 
 def test_adjusted_gains_of_the_split_robot(make_split_plant):
@@ -143,4 +147,4 @@ def test_synthesis_refuses_a_network_plant(make_network_plant):
 @pytest.mark.parametrize("rate", [0.0, 1.0, -0.1])
 def test_rate_must_lie_between_0_and_1(rate):
     with pytest.raises(ValueError, match="decay_rate is"):
-        analyse([[0.5]], [[0.1]], 3, rate)
+        analyse_razumikhin([[0.5]], [[0.1]], 3, rate)

@@ -15,13 +15,8 @@ from typing import ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from hiersched.control.checks import (
-    FloatArray,
-    as_delay_steps,
-    as_square,
-    as_symmetric,
-    spectral_radius,
-)
+from hiersched.control.checks import FloatArray, as_square, as_symmetric
+from hiersched.control.lifted import as_loop, simulate_random_delays, spectral_radius_by_delay
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,7 +68,8 @@ class Certificate:
         Longest delay T in samples that the condition covers.
     margins : mapping of str to float
         Smallest eigenvalue of every matrix that must be positive definite, in the coordinates
-        where P is the identity; all must exceed `tolerance`.
+        where P is the identity, and the margin of the simulated runs, if there were any; all
+        must exceed `tolerance`.
     tolerance : float
         Bound on the rounding error of the margins.
     spectral_radii : ndarray, shape (T + 1,)
@@ -90,80 +86,32 @@ class Certificate:
     spectral_radii: FloatArray
     witness: Witness | None
 
+    def __post_init__(self) -> None:
+        """Make the radii read-only."""
+        self.spectral_radii.setflags(write=False)
 
-def lift(A_c: npt.ArrayLike, A_d: npt.ArrayLike, delay_steps: int) -> FloatArray:
-    """Return the delay-free matrix that acts on [x(k), ..., x(k-T)] at the constant delay T.
-
-    Parameters
-    ----------
-    A_c, A_d : array_like, shape (n, n)
-        Undelayed and delayed matrix.
-    delay_steps : int
-        Constant delay T in samples, at least 0.
-
-    Returns
-    -------
-    ndarray, shape (n (T+1), n (T+1))
-        First block row A_c at column 0 plus A_d at column T, identity shift below.
-
-    Raises
-    ------
-    ValueError
-        If a matrix is malformed or the delay negative.
-    """
-    A_c, A_d, steps = _loop(A_c, A_d, delay_steps)
-    n = A_c.shape[0]
-    lifted = np.zeros((n * (steps + 1), n * (steps + 1)))
-    lifted[:n, :n] = A_c
-    lifted[:n, n * steps :] += A_d
-    lifted[n:, : n * steps] = np.eye(n * steps)
-    return lifted
-
-
-def spectral_radius_by_delay(
-    A_c: npt.ArrayLike, A_d: npt.ArrayLike, max_delay_steps: int
-) -> FloatArray:
-    """Return the spectral radius of the lifted system for each constant delay 0..T.
-
-    With A_d = U V of rank r, only V x has to be remembered, so the matrix has n + r d rows
-    rather than n (d+1); the nonzero eigenvalues are the same.
-
-    Parameters
-    ----------
-    A_c, A_d : array_like, shape (n, n)
-        Undelayed and delayed matrix.
-    max_delay_steps : int
-        Longest delay T in samples.
-
-    Returns
-    -------
-    ndarray, shape (T + 1,)
-        Spectral radii.
-
-    Raises
-    ------
-    ValueError
-        If a matrix is malformed or the delay negative.
-    """
-    A_c, A_d, steps = _loop(A_c, A_d, max_delay_steps)
-    n = A_c.shape[0]
-    left, singular, V = np.linalg.svd(A_d)
-    rank = int(np.count_nonzero(singular > n * np.finfo(float).eps * singular[0]))
-    U, V = left[:, :rank] * singular[:rank], V[:rank]
-    radii = np.empty(steps + 1)
-    radii[0] = spectral_radius(A_c + A_d)
-    for delay in range(1, steps + 1):
-        matrix = np.zeros((n + rank * delay, n + rank * delay))
-        matrix[:n, :n] = A_c
-        matrix[:n, n + rank * (delay - 1) :] = U
-        matrix[n : n + rank, :n] = V
-        matrix[n + rank :, n : n + rank * (delay - 1)] = np.eye(rank * (delay - 1))
-        radii[delay] = spectral_radius(matrix)
-    return radii
+    @classmethod
+    def without_witness(cls, spectral_radii: FloatArray) -> Certificate:
+        """Return what is known where no witness was found: the radii, and no certificate."""
+        return cls(
+            certified=False,
+            criterion="none",
+            delay_steps=len(spectral_radii) - 1,
+            margins={},
+            tolerance=0.0,
+            spectral_radii=spectral_radii,
+            witness=None,
+        )
 
 
 def certify(
-    A_c: npt.ArrayLike, A_d: npt.ArrayLike, delay_steps: int, witness: Witness | None
+    A_c: npt.ArrayLike,
+    A_d: npt.ArrayLike,
+    delay_steps: int,
+    witness: Witness | None,
+    *,
+    simulations: int = 0,
+    seed: int = 0,
 ) -> Certificate:
     """Check a witness of stability for all delays 0..T, constant or varying.
 
@@ -175,6 +123,12 @@ def certify(
         Longest delay T in samples.
     witness : RazumikhinWitness, DelayRazumikhinWitness, KrasovskiiWitness or None
         The matrices to check; None (nothing found) is never certified.
+    simulations : int
+        Runs under random varying delays (`simulate_random_delays`, 500 samples and more) in which
+        V must not exceed what the witness promises; their margin is ``simulation``. A witness
+        that passes the other checks cannot fail this one unless its condition is wrong.
+    seed : int
+        Seed of those runs.
 
     Returns
     -------
@@ -186,21 +140,14 @@ def certify(
     ValueError
         If a matrix or a number is malformed.
     """
-    A_c, A_d, steps = _loop(A_c, A_d, delay_steps)
+    A_c, A_d, steps = as_loop(A_c, A_d, delay_steps)
     radii = spectral_radius_by_delay(A_c, A_d, steps)
-    radii.setflags(write=False)
     if witness is None:
-        return Certificate(
-            certified=False,
-            criterion="none",
-            delay_steps=steps,
-            margins={},
-            tolerance=0.0,
-            spectral_radii=radii,
-            witness=None,
-        )
+        return Certificate.without_witness(radii)
     margins, scale = _margins(A_c, A_d, steps, witness)
     tolerance = 100.0 * float(np.finfo(float).eps) * scale
+    if simulations and all(margin > tolerance for margin in margins.values()):
+        margins["simulation"] = _simulated_margin(A_c, A_d, steps, witness, simulations, seed)
     return Certificate(
         certified=all(margin > tolerance for margin in margins.values())
         and bool((radii < 1.0).all()),
@@ -293,6 +240,27 @@ def _krasovskii_margins(
     return margins, 1.0 + sum(float(np.linalg.norm(term)) for term in terms)
 
 
+def _simulated_margin(
+    A_c: FloatArray, A_d: FloatArray, steps: int, witness: Witness, runs: int, seed: int
+) -> float:
+    """Return 1 - max V(x(k)) / bound over simulated runs that start at rest (x(k) = x(0), k < 0).
+
+    The bound is what the witness proves: V(x(0)) for C1; the largest V of the first 2T + 1
+    samples, after them, for C2; x(0)^T (P + T S) x(0), the functional at rest, for C3.
+    """
+    samples = 500 + 2 * steps
+    with np.errstate(over="ignore", invalid="ignore"):
+        states, _ = simulate_random_delays(A_c, A_d, steps, runs=runs, samples=samples, seed=seed)
+        V = np.einsum("kri,ij,krj->kr", states, witness.P, states)
+        first, bound = 1, V[0]
+        if isinstance(witness, DelayRazumikhinWitness):
+            first, bound = 2 * steps + 1, V[: 2 * steps + 1].max(axis=0)
+        elif isinstance(witness, KrasovskiiWitness):
+            bound = bound + steps * np.einsum("ri,ij,rj->r", states[0], witness.S, states[0])
+        ratio = float((V[first:] / bound).max())
+    return 1.0 - ratio if np.isfinite(ratio) else -np.inf
+
+
 def _congruent(L: FloatArray, matrix: FloatArray) -> FloatArray:
     """Return L^-1 M L^-T, the matrix of the same form in z = L^T x."""
     return np.linalg.solve(L, np.linalg.solve(L, matrix.T).T)
@@ -306,11 +274,3 @@ def _number(name: str, value: float) -> float:
     if not np.isfinite(value):
         raise ValueError(f"{name} is {value!r}; it must be finite")
     return float(value)
-
-
-def _loop(
-    A_c: npt.ArrayLike, A_d: npt.ArrayLike, delay_steps: int
-) -> tuple[FloatArray, FloatArray, int]:
-    A_c = as_square("A_c", A_c)
-    A_d = as_square("A_d", A_d, A_c.shape[0])
-    return A_c, A_d, as_delay_steps("delay_steps", delay_steps)

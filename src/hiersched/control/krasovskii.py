@@ -1,16 +1,14 @@
-"""C3: delay-dependent Lyapunov-Krasovskii conditions, for analysis and for adjusted gains.
+"""C3: the delay-dependent Lyapunov-Krasovskii condition, for the analysis of a given loop.
 
 The closed loop is x(k+1) = A_c x(k) + A_d x(k-d(k)), 0 <= d(k) <= T, with the functional
 V = x^T P x + (sum of x^T S x over T samples) + T (double sum of eta^T R eta), eta(k) = x(k+1) -
 x(k). Throughout, S, R and X stand for T times the functional's, and eta is counted per delay
 (T eta): the unknowns and the line search are then of order one at every T and sampling
 interval, and the inequality is the one of a continuous system with delay 1 as T grows.
+`krasovskii_synthesis` designs gains with the same functional.
 """
 
 from __future__ import annotations
-
-import math
-from dataclasses import dataclass
 
 import cvxpy as cp
 import numpy as np
@@ -19,26 +17,23 @@ from scipy.linalg import solve_discrete_lyapunov
 
 from hiersched.control.certificate import KrasovskiiWitness
 from hiersched.control.checks import FloatArray, as_delay_steps, as_square
-from hiersched.control.lmi import (
-    STRICT,
-    Expression,
-    balance,
-    line_search,
-    solve,
-    symmetric_blocks,
-    symmetrised,
-)
-from hiersched.control.plant import DelayedPlant
-
-CENTRAL_EPSILON = 5.0
-"""Where the line search over epsilon/T starts: the optimum lay within 2..10 in every trial."""
+from hiersched.control.lmi import Expression, balance, solve, symmetric_blocks, symmetrised
 
 
-def analyse(A_c: npt.ArrayLike, A_d: npt.ArrayLike, delay_steps: int) -> KrasovskiiWitness | None:
-    """Search the functional of largest margin for a given loop.
+def analyse_krasovskii(
+    A_c: npt.ArrayLike, A_d: npt.ArrayLike, delay_steps: int
+) -> KrasovskiiWitness | None:
+    """C3 analysis: search the Krasovskii functional of largest margin for a given loop.
 
-    The inequality is the direct form in (x(k), x(k-T), x(k-d)), 3n x 3n: the descriptor form
-    with P2 and P3 free is equivalent to it and larger.
+    With x = x(k), o = x(k-T), d = x(k-d), e = eta(k) = (A_c - I) x + A_d d, find symmetric P, S, R
+    and a full X such that for all (x, o, d) other than 0
+
+        2 x^T P e + e^T P e + x^T S x - o^T S o + T^2 e^T R e
+            - [x - d; d - o]^T [[R, X], [X^T, R]] [x - d; d - o] < 0,
+
+    P > 0, S > 0 and [[R, X], [X^T, R]] > 0: one inequality of 3n x 3n, whatever T. (The
+    descriptor form with P2 and P3 free is equivalent to it and larger.) Solved by Clarabel in
+    coordinates where A_c + A_d is well scaled.
 
     Parameters
     ----------
@@ -50,8 +45,9 @@ def analyse(A_c: npt.ArrayLike, A_d: npt.ArrayLike, delay_steps: int) -> Krasovs
     Returns
     -------
     KrasovskiiWitness or None
-        What was found, in the coordinates of x; None if the solver found no positive margin.
-        Only `certificate.certify` says whether it holds.
+        What was found, in the coordinates of x; only `certify` says whether it holds. None if
+        A_c + A_d is unstable or the solver found no positive margin: C3 then says nothing. The
+        condition is sufficient, so the loop may still be stable for all these delays.
 
     Raises
     ------
@@ -110,142 +106,3 @@ def _decrease(
         - gaps.T @ coupling @ gaps
     )
     return (total + total.T) / 2
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Solution:
-    """A gain in the coordinates of x, its deviation and the slack matrix Q2 it came with."""
-
-    K: FloatArray
-    deviation: float
-    Q2: FloatArray
-
-
-class KrasovskiiSynthesis:
-    """The synthesis inequality of one plant, compiled once and re-solved for each delay.
-
-    With Q2 = P2^-1, Y = K Q2, P3 = epsilon P2 and z = L^T x, the inequality is linear in
-    (P, S, R, X, Q2, Y) once epsilon is fixed. ``network``: E0 = (A-I) Q2, F = -B Y; ``split``:
-    E0 = (A-I) Q2 - B Y, F = A_d Q2; both times T here.
-
-    Parameters
-    ----------
-    plant : DelayedPlant
-        The plant; `plant.nominal_gain` is the gain to stay close to.
-    """
-
-    def __init__(self, plant: DelayedPlant) -> None:
-        self._plant, self._scaling = plant, plant.scaling
-        inverse = np.linalg.inv(self._scaling)
-        A, B = self._scaling @ plant.A @ inverse, self._scaling @ plant.B
-        n, m = B.shape
-        self._nominal = plant.nominal_gain
-        self._steps, self._per_step = cp.Parameter(nonneg=True), cp.Parameter(nonneg=True)
-        self._epsilon, self._eps_steps = cp.Parameter(nonneg=True), cp.Parameter(nonneg=True)
-        self._weight = cp.Parameter((n, n))
-        P, S, R = (cp.Variable((n, n), symmetric=True) for _ in range(3))
-        X, self._Q2, self._Y = cp.Variable((n, n)), cp.Variable((n, n)), cp.Variable((m, n))
-        Q2, Y = self._Q2, self._Y
-        if plant.A_d is None:
-            E0, F = (A - np.eye(n)) @ Q2, -B @ Y
-        else:
-            A_d = self._scaling @ plant.A_d @ inverse
-            E0, F = (A - np.eye(n)) @ Q2 - B @ Y, A_d @ Q2
-        coupling = symmetric_blocks([[R, X], [R]])
-        inequality = self._inequality(P, S, R, X, E0, F)
-        deviation = (Y - self._nominal @ inverse @ Q2) @ self._weight
-        self._problem = cp.Problem(
-            cp.Minimize(cp.sum_squares(deviation)),
-            [
-                inequality << -STRICT * np.eye(4 * n),
-                coupling >> STRICT * np.eye(2 * n),
-                P >> STRICT * np.eye(n),
-                S >> STRICT * np.eye(n),
-                # The rest is homogeneous: without this the unknowns shrink to zero.
-                Q2 + Q2.T >> 2 * np.eye(n),
-            ],
-        )
-
-    def _inequality(
-        self,
-        P: Expression,
-        S: Expression,
-        R: Expression,
-        X: Expression,
-        E0: Expression,
-        F: Expression,
-    ) -> Expression:
-        """Return the matrix in (x, T eta, x(k-T), x(k-d)) that must be negative definite."""
-        n = P.shape[0]
-        E = self._steps * E0
-        row1 = [
-            E + E.T + S - R,
-            P - self._Q2 + self._eps_steps * E0.T,
-            X,
-            R - X + self._steps * F,
-        ]
-        row2 = [
-            -self._epsilon * (self._Q2 + self._Q2.T) + self._per_step * P + R,
-            np.zeros((n, n)),
-            self._eps_steps * F,
-        ]
-        return symmetric_blocks([row1, row2, [-S - R, R - X.T], [-2 * R + X + X.T]])
-
-    def minimal_deviation(
-        self, delay_steps: int, *, max_reweights: int = 12
-    ) -> tuple[FloatArray, KrasovskiiWitness] | None:
-        """Return the gain closest to the nominal one that C3 admits, and why it is stable.
-
-        Minimises ||(Y - K Q2) W||_F in the units of x with a line search over epsilon
-        (coarse to fine, on a logarithmic scale), then reweights W by the last Q2^-1 while the
-        deviation ||K^ - K||_F falls.
-
-        Parameters
-        ----------
-        delay_steps : int
-            Longest delay T in samples.
-        max_reweights : int
-            Most reweighted solves.
-
-        Returns
-        -------
-        (ndarray, shape (m, n), KrasovskiiWitness) or None
-            The gain and its witness, not yet certified; None if no epsilon is feasible.
-        """
-        # d = 0 alone needs no bound on eta; the condition for T = 1 covers it.
-        T = max(as_delay_steps("delay_steps", delay_steps), 1)
-        trials: dict[float, _Solution | None] = {}
-
-        def deviation(exponent: float) -> float:
-            if exponent not in trials:
-                epsilon = CENTRAL_EPSILON * 2.0**exponent
-                trials[exponent] = self._solve(T, epsilon, self._scaling)
-            solution = trials[exponent]
-            return math.inf if solution is None else solution.deviation
-
-        exponent = line_search(deviation, reach=4.0)
-        best = trials[exponent]
-        if best is None:
-            return None
-        epsilon = CENTRAL_EPSILON * 2.0**exponent
-        for _ in range(max_reweights):
-            weight = np.linalg.solve(best.Q2, self._scaling)
-            weight = weight * (np.linalg.norm(self._scaling) / np.linalg.norm(weight))
-            candidate = self._solve(T, epsilon, np.asarray(weight, dtype=np.float64))
-            if candidate is None or candidate.deviation >= best.deviation * (1.0 - 1e-3):
-                break
-            best = candidate
-        witness = analyse(*self._plant.closed_loop(best.K), T)
-        return None if witness is None else (best.K, witness)
-
-    def _solve(self, T: int, epsilon: float, weight: FloatArray) -> _Solution | None:
-        self._steps.value, self._per_step.value = float(T), 1.0 / T
-        self._epsilon.value, self._eps_steps.value = epsilon, epsilon * T
-        self._weight.value = weight
-        if not solve(self._problem) or self._Q2.value is None:
-            return None
-        Q2 = np.asarray(self._Q2.value)
-        K = np.linalg.solve(Q2.T, np.asarray(self._Y.value).T).T @ self._scaling
-        if not np.isfinite(K).all():
-            return None
-        return _Solution(K=K, deviation=float(np.linalg.norm(K - self._nominal)), Q2=Q2)

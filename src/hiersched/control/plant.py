@@ -41,6 +41,9 @@ class DelayedPlant:
         Gain K in force when nothing has to be adjusted.
     A_d : array_like, shape (n, n), optional
         Delayed matrix of a split plant; None for a network plant.
+    operator_gain : array_like, shape (m, n), optional
+        Gain K_o that the operator of a split plant applies over the network, A_d = -B K_o. None
+        for a network plant, and for a split plant whose A_d is a delay of the plant itself.
     sampling_s : float
         Sampling interval in s.
 
@@ -57,6 +60,7 @@ class DelayedPlant:
     kind: PlantKind
     nominal_gain: FloatArray
     A_d: FloatArray | None = None
+    operator_gain: FloatArray | None = None
     sampling_s: float
 
     def __post_init__(self) -> None:
@@ -86,9 +90,20 @@ class DelayedPlant:
         }
         if self.A_d is not None:
             arrays["A_d"] = as_square("A_d", self.A_d, n)
+        if self.operator_gain is not None:
+            arrays["operator_gain"] = self._checked_operator_gain(B, self.operator_gain)
         for name, array in arrays.items():
             array.setflags(write=False)
             object.__setattr__(self, name, array)
+
+    def _checked_operator_gain(self, B: FloatArray, value: npt.ArrayLike) -> FloatArray:
+        if self.A_d is None:
+            raise ValueError("operator_gain is given for a network plant; its whole gain is late")
+        K_o = as_matrix("operator_gain", value, (B.shape[1], B.shape[0]))
+        error = float(np.abs(self.A_d + B @ K_o).max())
+        if error > 1e-9 * (1.0 + float(np.abs(self.A_d).max())):
+            raise ValueError(f"A_d is not -B operator_gain: they differ by up to {error:.3g}")
+        return K_o
 
     @cached_property
     def riccati(self) -> FloatArray:
@@ -124,6 +139,12 @@ class DelayedPlant:
         if self.A_d is None:
             return self.A, -self.B @ K
         return self.A - self.B @ K, self.A_d
+
+
+def require_network(plant: DelayedPlant, what: str) -> None:
+    """Raise ValueError unless all feedback of the plant crosses the network."""
+    if plant.kind != "network":
+        raise ValueError(f"kind is {plant.kind!r}; {what} needs a 'network' plant")
 
 
 def network_plant(
@@ -201,6 +222,7 @@ def split_plant(
     K_o = np.zeros_like(K)
     columns = list(operator_states)
     K_o[:, columns] = operator_share * K[:, columns]
+    local = K - K_o
     Q, R = as_square("Q", Q), as_square("R", R)
     return DelayedPlant(
         A=A,
@@ -208,7 +230,8 @@ def split_plant(
         Q=Q,
         R=R,
         kind="split",
-        nominal_gain=K - K_o,
+        nominal_gain=local,
         A_d=-B @ K_o,
+        operator_gain=K - local,  # K_o, rounded so that the two parts add up to K
         sampling_s=sampling_s,
     )

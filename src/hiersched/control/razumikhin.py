@@ -82,10 +82,18 @@ class LargestMargin:
         return float(self._margin.value), np.asarray(self._P.value)
 
 
-def analyse(
+def analyse_razumikhin(
     A_c: npt.ArrayLike, A_d: npt.ArrayLike, delay_steps: int, decay_rate: float
 ) -> RazumikhinWitness | None:
-    """Search a quadratic V for C1, scanning tau in (0, (1 - a - rho(A_c)^2) / g).
+    """C1 analysis: search V = x^T P x with V(k+1) <= (1 - a - tau g) V(k) + tau V(k-d).
+
+    With g = (1 - a)^-T, find P > 0 and tau > 0 such that (2n x 2n)
+
+        diag((1 - a - tau g) P, tau P) - [A_c, A_d]^T P [A_c, A_d] > 0.
+
+    Then V decays by 1 - a a sample for delays up to T, and the loop is stable under any delay.
+    Linear in P for each tau: Clarabel solves one compiled problem along a scan of tau in
+    (0, (1 - a - rho(A_c)^2) / g).
 
     Parameters
     ----------
@@ -99,8 +107,8 @@ def analyse(
     Returns
     -------
     RazumikhinWitness or None
-        What was found; None if there is no positive margin. Only `certificate.certify` says
-        whether it holds.
+        What was found; only `certify` says whether it holds. None if no tau gave a positive
+        margin: always so where A_c is not stable by itself, because the delay may be infinite.
 
     Raises
     ------
@@ -136,13 +144,18 @@ def analyse(
     return RazumikhinWitness(P=P, tau=tau(position), decay_rate=decay_rate)
 
 
-def analyse_delay_dependent(
+def analyse_delay_razumikhin(
     A_c: npt.ArrayLike, A_d: npt.ArrayLike, delay_steps: int
 ) -> DelayRazumikhinWitness | None:
-    """Search a quadratic V for C2, searching p in (rho(A_c + A_d)^2, 1) and t1 / t2.
+    """C2 analysis: search V = x^T P x with V(k+1) < max V over the last 2T + 1 samples.
 
-    With M = A_c + A_d, B1 = -A_d (A_c - I), B2 = -A_d A_d and p + t1 + t2 < 1:
-    diag(p P, t1 P, t2 P) - [M, T B1, T B2]^T P [M, T B1, T B2] >= 0.
+    With M = A_c + A_d, B1 = -A_d (A_c - I) and B2 = -A_d A_d, find P > 0 and p + t1 + t2 < 1
+    such that (3n x 3n)
+
+        diag(p P, t1 P, t2 P) - [M, T B1, T B2]^T P [M, T B1, T B2] > 0.
+
+    Linear in P for each (p, t1, t2): Clarabel solves one compiled problem along a search over p
+    in (rho(A_c + A_d)^2, 1) and t1 / t2.
 
     Parameters
     ----------
@@ -154,7 +167,8 @@ def analyse_delay_dependent(
     Returns
     -------
     DelayRazumikhinWitness or None
-        What was found; only `certificate.certify` says whether it holds.
+        What was found; only `certify` says whether it holds. None if A_c + A_d is unstable or no
+        weights gave a positive margin: C2 then says nothing (it is more conservative than C3).
 
     Raises
     ------

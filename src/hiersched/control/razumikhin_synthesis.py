@@ -9,8 +9,9 @@ import cvxpy as cp
 import numpy as np
 
 from hiersched.control.certificate import RazumikhinWitness
-from hiersched.control.checks import FloatArray
+from hiersched.control.checks import FloatArray, as_symmetric, require_definite
 from hiersched.control.lmi import STRICT, line_search, solve, symmetric_blocks, symmetrised
+from hiersched.control.methods import DEFAULT_DECAY_RATE
 from hiersched.control.plant import DelayedPlant
 from hiersched.control.razumikhin import LargestMargin, razumikhin_gamma
 
@@ -160,6 +161,40 @@ class RazumikhinSynthesis:
         K = np.asarray(self._Y.value) @ P @ self._scaling
         return self._solution(K, self._scaling.T @ P @ self._scaling, tau)
 
+    def closest_for(
+        self, P: FloatArray, delay_steps: int
+    ) -> tuple[FloatArray, RazumikhinWitness] | None:
+        """Return the gain closest to the nominal one for a fixed P: (a), exact and convex.
+
+        Minimises ||K^ - K||_F^2 over (K^, tau) subject to (3n x 3n)
+
+            [[(1 - a - tau g) P, 0, (A - B K^)^T P], [0, tau P, A_d^T P], [*, *, P]] > 0.
+
+        Parameters
+        ----------
+        P : ndarray, shape (n, n)
+            Positive definite matrix of V = x^T P x.
+        delay_steps : int
+            Longest delay T in samples over which the decay rate has to hold.
+
+        Returns
+        -------
+        (ndarray, shape (m, n), RazumikhinWitness) or None
+            The gain and its witness, not yet certified; None if this P admits no gain.
+
+        Raises
+        ------
+        ValueError
+            If P is malformed or not positive definite, or the delay negative.
+        """
+        P = as_symmetric("P", P, self._B.shape[0])
+        require_definite("P", P)
+        gamma = razumikhin_gamma(self._rate, delay_steps)
+        best = self._solve_fixed(gamma, np.asarray(np.linalg.cholesky(P).T, dtype=np.float64))
+        if best is None:
+            return None
+        return best.K, RazumikhinWitness(P=best.P, tau=best.tau, decay_rate=self._rate)
+
     def _improve(self, gamma: float, last: _Solution) -> _Solution | None:
         """Take a step of (c): centre P for the last gain and tau, then solve (a) for that P."""
         C = np.asarray(np.linalg.cholesky(last.P).T, dtype=np.float64)
@@ -169,6 +204,10 @@ class RazumikhinSynthesis:
         if found is None or found[0] <= 0.0:
             return None
         C = np.asarray(np.linalg.cholesky(found[1]).T @ C, dtype=np.float64)
+        return self._solve_fixed(gamma, C)
+
+    def _solve_fixed(self, gamma: float, C: FloatArray) -> _Solution | None:
+        """Solve (a) for P = C^T C."""
         self._A_w.value, self._A_d_w.value, self._B_w.value = self._in_coordinates(C)
         self._C.value, self._gamma.value = C, gamma
         if not solve(self._fixed) or self._K_w.value is None:
@@ -186,3 +225,40 @@ class RazumikhinSynthesis:
             return None
         deviation = float(np.linalg.norm(K - self._nominal))
         return _Solution(K=K, deviation=deviation, P=symmetrised(P), tau=tau)
+
+
+def synthesise_razumikhin(
+    plant: DelayedPlant, delay_steps: int, decay_rate: float = DEFAULT_DECAY_RATE
+) -> tuple[FloatArray, RazumikhinWitness] | None:
+    """C1 synthesis: the local gain of a split plant closest to its nominal one that C1 admits.
+
+    With Q = P^-1, Y = K Q, g = (1 - a)^-T and p = 1 - a - tau g, min ||(Y - K_nominal Q) W||_F^2
+    over Q >= I and Y subject to (3n x 3n)
+
+        [[p Q, 0, (A Q - B Y)^T], [0, tau Q, (A_d Q)^T], [A Q - B Y, A_d Q, Q]] > 0,
+
+    then reweighted and alternated as `RazumikhinSynthesis.minimal_deviation` says, which saves
+    compiling the problems again for every T. Clarabel, in coordinates where the Riccati solution
+    is the identity.
+
+    Parameters
+    ----------
+    plant : DelayedPlant
+        A split plant.
+    delay_steps : int
+        Longest delay T in samples over which the decay rate has to hold.
+    decay_rate : float
+        Relative decay a of V per sample, in (0, 1).
+
+    Returns
+    -------
+    (ndarray, shape (m, n), RazumikhinWitness) or None
+        The gain and its witness, which `certify` has yet to check. None if no tau in 2e-3..0.5 is
+        feasible: no local gain was found for which any operator's delay would do no harm.
+
+    Raises
+    ------
+    ValueError
+        If the plant is no split plant or a number is outside its range.
+    """
+    return RazumikhinSynthesis(plant, decay_rate).minimal_deviation(delay_steps)

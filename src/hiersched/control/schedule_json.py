@@ -17,9 +17,9 @@ from hiersched.control.certificate import (
     Witness,
 )
 from hiersched.control.checks import FloatArray
-from hiersched.control.schedule import GainSchedule
+from hiersched.control.gain_table import GainSchedule
 
-FORMAT = "hiersched gain schedule 1"
+FORMAT = "hiersched gain schedule 2"
 _WITNESSES: dict[str, type[RazumikhinWitness | DelayRazumikhinWitness | KrasovskiiWitness]] = {
     witness.criterion: witness
     for witness in (RazumikhinWitness, DelayRazumikhinWitness, KrasovskiiWitness)
@@ -44,6 +44,7 @@ def dump_schedule(schedule: GainSchedule) -> str:
             "delay_steps": delay,
             "status": schedule.status[delay],
             "gain": schedule.gains[delay].tolist(),
+            "input_gains": schedule.input_gains[delay, :delay].tolist(),
             "certificate": _dump_certificate(schedule.certificates[delay]),
         }
         for delay in range(schedule.max_delay_steps + 1)
@@ -56,6 +57,9 @@ def dump_schedule(schedule: GainSchedule) -> str:
         "decay_rate": schedule.decay_rate,
         "sampling_s": schedule.sampling_s,
         "nominal": schedule.nominal.tolist(),
+        "operator_gain": None
+        if schedule.operator_gain is None
+        else schedule.operator_gain.tolist(),
         "entries": entries,
     }
     return json.dumps(document, indent=1, allow_nan=False) + "\n"
@@ -86,7 +90,8 @@ def parse_schedule(text: str) -> GainSchedule:
     for delay, entry in enumerate(entries):
         if not isinstance(entry, dict) or entry.get("delay_steps") != delay:
             raise ValueError(f"entries[{delay}] must be an object with delay_steps {delay}")
-    rate = document.get("decay_rate")
+    rate, nominal = document.get("decay_rate"), _array(document, "nominal")
+    operator_gain = document.get("operator_gain")
     return GainSchedule(
         gains=np.array([_array(entry, "gain") for entry in entries]),
         status=tuple(_field(entry, "status", str) for entry in entries),
@@ -94,13 +99,30 @@ def parse_schedule(text: str) -> GainSchedule:
             _parse_certificate(delay, _field(entry, "certificate", dict))
             for delay, entry in enumerate(entries)
         ),
-        nominal=_array(document, "nominal"),
+        nominal=nominal,
+        input_gains=_parse_input_gains(entries, len(nominal)),
+        operator_gain=None if operator_gain is None else _array(document, "operator_gain"),
         kind=_field(document, "kind", str),
         method=_field(document, "method", str),
         decay_rate=None if rate is None else _field(document, "decay_rate", float),
         sampling_s=_field(document, "sampling_s", float),
         key=_field(document, "key", str),
     )
+
+
+def _parse_input_gains(entries: list[Any], inputs: int) -> FloatArray:
+    """Return the table, zero from the delay on, from the entries' shorter lists."""
+    steps = len(entries) - 1
+    table = np.zeros((len(entries), steps, inputs, inputs))
+    for delay, entry in enumerate(entries):
+        gains = _array(entry, "input_gains")
+        if gains.shape != (delay, inputs, inputs) and not gains.size == delay == 0:
+            raise ValueError(
+                f"entries[{delay}].input_gains has shape {gains.shape}; "
+                f"it must be {(delay, inputs, inputs)}"
+            )
+        table[delay, :delay] = gains.reshape(delay, inputs, inputs)
+    return table
 
 
 def _dump_certificate(certificate: Certificate) -> dict[str, Any]:
@@ -136,7 +158,6 @@ def _parse_certificate(delay: int, document: Mapping[str, Any]) -> Certificate:
         }
         witness = kind(**arguments)
     radii = _array(document, "spectral_radii")
-    radii.setflags(write=False)
     return Certificate(
         certified=_field(document, "certified", bool),
         criterion=criterion,
