@@ -1,11 +1,13 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from hiersched.control import GainSchedule
+from hiersched.control import Certificate
 from hiersched.runs.events import slot_events, stretches
 from hiersched.runs.gains import load_gains
 from hiersched.scenario import Scenario
@@ -58,7 +60,12 @@ def test_events_say_where_trouble_begins(tiny: Scenario, designed) -> None:
 
 def test_gains_without_certificate_are_reported(tiny: Scenario, designed) -> None:
     schedule, _ = load_gains(designed / "gains" / "schedule.json", tiny)
-    broken = GainSchedule(**{**vars(schedule), "status": ("nominal", "nominal", "infeasible")})
+    unproven = Certificate.without_witness(schedule.certificates[2].spectral_radii)
+    broken = replace(
+        schedule,
+        status=("nominal", "nominal", "infeasible"),
+        certificates=(*schedule.certificates[:2], unproven),
+    )
     fields = quiet(3)
     fields["delay_steps"][1:, 1] = 2
     (event,) = slot_events(tiny, broken, fields)
