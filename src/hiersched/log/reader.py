@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable, Iterator
 from functools import cached_property
 from types import TracebackType
-from typing import Any, Literal, Self
+from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
 from mcap.records import ChunkIndex
@@ -17,6 +17,16 @@ from hiersched.log.events import Event, decode_events
 from hiersched.log.layout import RecordLayout, as_raw, raw_columns, record_layout
 from hiersched.log.logfile import LogFile
 from hiersched.log.schema import EVENTS_TOPIC, TOPICS
+
+
+class TopicContent(NamedTuple):
+    """What a topic takes in a file [bytes]."""
+
+    topic: str
+    messages: int
+    chunks: int
+    plain_bytes: int
+    stored_bytes: int
 
 
 class LogReader:
@@ -210,6 +220,20 @@ class LogReader:
                     f"a chunk of {topic} has messages that do not follow the schema ({name})",
                 )
         return rows
+
+    def contents(self) -> list[TopicContent]:
+        """Say what each topic takes, events included, in the order of their channels."""
+        file = self._file
+        return [
+            TopicContent(
+                topic,
+                file.message_counts[channel_id],
+                len(chunks := file.chunks[topic]),
+                sum(chunk.uncompressed_size for chunk in chunks),
+                sum(chunk.compressed_size for chunk in chunks),
+            )
+            for topic, channel_id in file.channel_ids.items()
+        ]
 
     def records(self, topic: str) -> Iterator[NDArray[Any]]:
         """Yield a topic's Message records as they lie in the file, one array a chunk.

@@ -45,7 +45,11 @@ class LearnedRunner:
                 runs[seed] = WorldRun(
                     seed=seed,
                     fields=record.environment(place),
-                    metadata={"policy_seed": str(learned.seed)},
+                    metadata={
+                        "policy_seed": str(learned.seed),
+                        # The bits of a matrix product depend on the number of worlds in it.
+                        "batch_seeds": ",".join(map(str, worlds)),
+                    },
                     attachments={f"policy_seed{learned.seed}.pt": self._weights[index]},
                 )
         for seed in seeds:

@@ -1,0 +1,62 @@
+"""The command `hiersched`: what people type, besides the workflow."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from importlib.metadata import version
+
+BAD_INPUT = 2
+
+
+class InputError(Exception):
+    """The input is at fault; the message says what and what is allowed."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run a command.
+
+    Parameters
+    ----------
+    arguments
+        As typed; those of the process unless given.
+
+    Returns
+    -------
+    int
+        Exit status: 0; 1 when a log is not what it should be; 2 when the input is at fault (one
+        message on stderr); 3 when a recovered log lacks something.
+    """
+    from hiersched.log import LogError
+    from hiersched.scenario import ScenarioError
+
+    parsed = _parser().parse_args(arguments)
+    command: Callable[[argparse.Namespace], int] = parsed.command
+    try:
+        return command(parsed)
+    except BrokenPipeError:  # the reader of our output has seen enough
+        sys.stderr.close()
+        return 0
+    except (InputError, LogError, ScenarioError) as error:
+        return _complain(str(error))
+    except OSError as error:
+        return _complain(f"{error.filename}: {error.strerror}" if error.filename else str(error))
+
+
+def _complain(message: str) -> int:
+    print(f"hiersched: {message}", file=sys.stderr)
+    return BAD_INPUT
+
+
+def _parser() -> argparse.ArgumentParser:
+    from hiersched.cli import log, replay, scenario
+
+    parser = argparse.ArgumentParser(
+        prog="hiersched", description="Bandwidth allocation and control gains for teleoperation."
+    )
+    parser.add_argument("--version", action="version", version=f"hiersched {version('hiersched')}")
+    commands = parser.add_subparsers(required=True, metavar="COMMAND")
+    for module in (scenario, log, replay):
+        module.add_commands(commands)
+    return parser

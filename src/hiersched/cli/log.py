@@ -1,0 +1,145 @@
+"""Commands about one log: info, digest, recover, export."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections import Counter
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from hiersched.log import LogReader
+
+LOSSY = 3
+
+
+def add_commands(commands: Any) -> None:
+    """Add the commands to the parser."""
+    for name, command, text in (
+        ("info", _info, "say what a log holds, and check every byte of it"),
+        ("digest", _digest, "hash topic, time and payload, whatever compression and chunks"),
+        ("recover", _recover, "write what is whole in a damaged or unfinished log into a new one"),
+        ("export", _export, "write the topics of a log as tables, one file a topic"),
+    ):
+        parser = commands.add_parser(name, help=text, description=text)
+        parser.add_argument("log", metavar="LOG", help="an MCAP file of hiersched")
+        parser.set_defaults(command=command)
+        if name == "recover":
+            parser.add_argument(
+                "--out", metavar="LOG2", help="the new log (LOG with .recovered.mcap)"
+            )
+        if name == "export":
+            _add_export_options(parser)
+
+
+def _add_export_options(parser: argparse.ArgumentParser) -> None:
+    form = parser.add_mutually_exclusive_group(required=True)
+    for name, text in (
+        ("csv", "as CSV; numbers read back to the same bits"),
+        ("parquet", "as Parquet (needs pyarrow: the extra hiersched[parquet])"),
+    ):
+        form.add_argument(f"--{name}", dest="form", action="store_const", const=name, help=text)
+    parser.add_argument("--out", metavar="FOLDER", help="folder of the files (LOG without .mcap)")
+    parser.add_argument("--topic", action="append", metavar="TOPIC", help="again for more; all")
+    parser.add_argument("--from", dest="start", type=float, default=0.0, metavar="S",
+                        help="from this time on [s]")  # fmt: skip
+    parser.add_argument("--to", dest="stop", type=float, default=math.inf, metavar="S",
+                        help="to before this time [s]")  # fmt: skip
+
+
+def _digest(parsed: argparse.Namespace) -> int:
+    from hiersched.log import log_digest
+
+    print(f"{log_digest(parsed.log)}  {parsed.log}")
+    return 0
+
+
+def _recover(parsed: argparse.Namespace) -> int:
+    from hiersched.log import recover
+
+    try:
+        report = recover(parsed.log, parsed.out)
+    except FileExistsError as error:
+        from hiersched.cli import InputError
+
+        raise InputError(str(error)) from error
+    spans = ", ".join(f"{start} to {stop - 1}" for start, stop in report.spans) or "none"
+    print(f"{report.path}: {report.num_slots} slots ({spans}), {report.num_events} events")
+    for loss in report.losses:
+        print(f"lost: {loss}")
+    if not report.losses:
+        print("lost: nothing of what is in the file; what was not flushed never got there")
+    return LOSSY if report.losses else 0
+
+
+def _info(parsed: argparse.Namespace) -> int:
+    from hiersched.log import LogReader
+
+    with LogReader(parsed.log) as log:
+        size = log.path.stat().st_size
+        print(f"{parsed.log}: complete, every checksum is right ({size:,} bytes)")
+        for line in [*_origin(log), *_contents(log), *_statistics(log)]:
+            print(line)
+    return 0
+
+
+def _origin(log: LogReader) -> list[str]:
+    """Say what the log is of."""
+    text, dims = log.metadata, log.dims
+    point = f", {text['axis']} = {text['value']}" if text.get("axis") else ""
+    lines = [
+        f"scenario    {text.get('scenario', '?')} (sha256 {text.get('scenario_sha256', '?')[:16]})",
+        f"run         {text.get('stage', '?')}{point}, policy {text.get('policy', '?')}, "
+        f"seed {text.get('seed', '?')}",
+        f"schema      version {text['schema_version']}, profile {log.profile}",
+        f"cell        {dims.num_urllc} URLLC and {dims.num_embb} eMBB users, {dims.num_prb} PRBs",
+        f"duration    {log.num_slots} slots of {log.slot_ns / 1e6:g} ms: "
+        f"{log.num_slots * log.slot_ns / 1e9:g} s",
+    ]
+    if text.get("recovered_losses"):
+        lines.append(f"recovered   lost: {text['recovered_losses']}")
+    return lines
+
+
+def _contents(log: LogReader) -> list[str]:
+    """Say what is in the file."""
+    lines = ["", f"{'topic':<13}{'messages':>10}{'chunks':>8}{'bytes':>14}{'stored':>8}"]
+    for topic, messages, chunks, plain, stored in log.contents():
+        share = f"{100 * stored / plain:.0f} %" if plain else "-"
+        lines.append(f"{topic:<13}{messages:>10,}{chunks:>8,}{plain:>14,}{share:>8}")
+    kinds = Counter((event.level, event.name) for event in log.events())
+    for (level, name), number in sorted(kinds.items()):
+        lines.append(f"  {number:,} {level} of {name}")
+    for name, data in sorted(log.attachments.items()):
+        lines.append(f"attachment  {name} ({len(data):,} bytes)")
+    return lines
+
+
+def _statistics(log: LogReader) -> list[str]:
+    """Average what matters over the run."""
+    from hiersched.replay.measures import batch_means
+
+    if not log.num_slots:
+        return []
+    return ["", "mean over the run"] + [
+        f"  {name:<22}{float(values[0]):>14.6g} {unit}"
+        for name, unit, values in batch_means(log, log.num_slots, 1)
+    ]
+
+
+def _export(parsed: argparse.Namespace) -> int:
+    from hiersched.cli import InputError
+    from hiersched.replay.export import export_tables
+
+    source = Path(parsed.log)
+    folder = Path(parsed.out) if parsed.out else source.with_suffix("")
+    try:
+        written = export_tables(
+            source, folder, parsed.form, parsed.topic, parsed.start, parsed.stop
+        )
+    except (ValueError, ImportError) as error:
+        raise InputError(str(error)) from error
+    for path in written:
+        print(path)
+    return 0

@@ -1,0 +1,111 @@
+"""`hiersched replay` and `hiersched compare`: logs computed again, and side by side."""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from hiersched.replay.compare import Comparison
+    from hiersched.replay.source import LoggedRun
+
+DIFFERS = 1
+
+
+def add_commands(commands: Any) -> None:
+    """Add the commands to the parser."""
+    text = "compute every slot of a log again and compare it bit for bit"
+    replay = commands.add_parser("replay", help=text, description=text)
+    replay.add_argument("log", metavar="LOG", help="an MCAP file of hiersched")
+    replay.add_argument(
+        "--policy",
+        metavar="NAME",
+        help="run this scheduler, or file of weights, in the world of the log instead",
+    )
+    replay.add_argument("--out", metavar="LOG2", help="with --policy: keep the log of that run")
+    replay.set_defaults(command=_replay)
+    text = "paired differences of runs in the same world, and the slots where they part"
+    compare = commands.add_parser("compare", help=text, description=text)
+    compare.add_argument("log", metavar="LOG", help="the baseline")
+    compare.add_argument("others", metavar="LOG2", nargs="+", help="each is compared with LOG")
+    compare.set_defaults(command=_compare)
+
+
+def _replay(parsed: argparse.Namespace) -> int:
+    from hiersched.cli import InputError
+    from hiersched.replay.source import load_run
+    from hiersched.replay.verify import verify
+
+    if parsed.out and not parsed.policy:
+        raise InputError("--out says where the log of --policy goes: give that too")
+    run = load_run(parsed.log)
+    if parsed.policy:
+        return _counterfactual(run, parsed.policy, parsed.out)
+    try:
+        difference = verify(run)
+    except ValueError as error:
+        raise InputError(f"{parsed.log}: {error}") from error
+    if difference is None:
+        print(f"{parsed.log}: OK, {run.num_slots} slots computed again, every bit the same")
+        return 0
+    print(f"{parsed.log}: differs in {difference}")
+    return DIFFERS
+
+
+def _counterfactual(run: LoggedRun, policy: str, out: str | None) -> int:
+    from hiersched.cli import InputError
+    from hiersched.log import log_digest
+    from hiersched.replay.compare import compare_logs
+    from hiersched.replay.counterfactual import find_policy, rerun
+
+    try:
+        decider = find_policy(run, policy)
+    except ValueError as error:
+        raise InputError(str(error)) from error
+    if out and Path(out).exists():
+        raise InputError(f"{out}: exists; a counterfactual never overwrites a file")
+    with tempfile.TemporaryDirectory() as folder:
+        target = Path(out) if out else Path(folder, "run.mcap")
+        rerun(run, decider, target)
+        if out:
+            print(f"{out}: {decider.name} in the world of {run.path}")
+        if log_digest(target) == log_digest(run.path):
+            print("every message is the same, bit for bit")
+        else:
+            _show(compare_logs(run.path, target))
+    return 0
+
+
+def _compare(parsed: argparse.Namespace) -> int:
+    from hiersched.replay.compare import compare_logs
+
+    for other in parsed.others:
+        print(f"{parsed.log} and {other}")
+        _show(compare_logs(parsed.log, other))
+    return 0
+
+
+def _show(comparison: Comparison) -> None:
+    """Print a comparison."""
+    print(
+        f"{comparison.num_slots} slots of the same world; 95 % intervals of the paired "
+        f"difference over {comparison.num_batches} stretches of time"
+    )
+    names = comparison.baseline, comparison.other
+    print(f"{'':<22}{names[0]:>14}{names[1]:>14}{'difference':>14}  interval")
+    for name, unit, baseline, other, (mean, low, high) in (
+        (m.name, m.unit, m.baseline, m.other, m.difference) for m in comparison.measures
+    ):
+        print(
+            f"{name:<22}{baseline:>14.6g}{other:>14.6g}{mean:>+14.4g}  "
+            f"[{low:.4g}, {high:.4g}] {unit}"
+        )
+    if not comparison.partings:
+        print("the logs say the same, bit for bit")
+    for parting in comparison.partings:
+        print(
+            f"{parting.topic} parts in slot {parting.first_slot} "
+            f"and differs in {parting.num_slots} slots"
+        )

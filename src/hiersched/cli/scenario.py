@@ -1,0 +1,41 @@
+"""`hiersched scenario`: check or show a scenario."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+
+def add_commands(commands: Any) -> None:
+    """Add the command to the parser."""
+    scenario = commands.add_parser("scenario", help="check or show a scenario")
+    actions = scenario.add_subparsers(required=True, metavar="ACTION")
+    for name, command, text in (
+        ("check", _check, "say whether a scenario can be run, and what is wrong if not"),
+        ("show", _show, "print a scenario with every value in place, as YAML"),
+    ):
+        action = actions.add_parser(name, help=text, description=text)
+        action.add_argument(
+            "file", metavar="FILE", help="path, or the name of a file in config/scenarios"
+        )
+        action.set_defaults(command=command)
+
+
+def _check(parsed: argparse.Namespace) -> int:
+    from hiersched.runs.variants import check_variants
+    from hiersched.scenario import load_scenario
+
+    scenario = load_scenario(parsed.file)
+    check_variants(scenario)
+    print(
+        f"{parsed.file}: scenario {scenario.name} is fine: {scenario.users.num_urllc} URLLC and "
+        f"{scenario.users.num_embb} eMBB users, {scenario.radio.num_prb} PRBs"
+    )
+    return 0
+
+
+def _show(parsed: argparse.Namespace) -> int:
+    from hiersched.scenario import load_scenario, scenario_to_yaml
+
+    print(scenario_to_yaml(load_scenario(parsed.file)), end="")
+    return 0

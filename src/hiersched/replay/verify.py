@@ -1,0 +1,187 @@
+"""Computes a log again, slot by slot, and compares every bit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hiersched.log import TOPICS, LogReader
+from hiersched.network.schedulers import CLASSICAL
+from hiersched.replay.source import Batch, LoggedRun
+from hiersched.runs.events import slot_events
+from hiersched.simulator import Simulator, SlotRecord
+
+Fields = dict[str, NDArray[Any]]
+_TOPIC_OF = {f.name: topic.name for topic in TOPICS.values() for f in topic.fields[1:]}
+_EVENT_FIELDS = (
+    "hol_delay_s",
+    "delay_capped",
+    "network_delay_s",
+    "delay_steps",
+    "control_saturated",
+)
+
+
+@dataclass(frozen=True)
+class Difference:
+    """The first place at which a log is not what the simulator computes.
+
+    Attributes
+    ----------
+    slot, topic, field
+        Where; ``field`` has the index of the element, as ``state[3,0]``.
+    logged, computed
+        Both values.
+    """
+
+    slot: int
+    topic: str
+    field: str
+    logged: Any
+    computed: Any
+
+    def __str__(self) -> str:
+        return (
+            f"slot {self.slot}, topic {self.topic}, field {self.field}: "
+            f"{self.logged!r} in the log, {self.computed!r} computed"
+        )
+
+
+def verify(run: LoggedRun, on_slots: Callable[[int], None] | None = None) -> Difference | None:
+    """Compute every slot of a log again and compare it bit for bit.
+
+    The world comes from the seed and has to be the logged one. Classical schedulers decide again;
+    decisions that the log alone knows, the weights of a policy that learns and the forced delays
+    of a gain study, are taken from it, and all that follows from them is computed.
+
+    Parameters
+    ----------
+    run
+        The run, from `load_run`.
+    on_slots
+        Is told how many slots have been compared.
+
+    Returns
+    -------
+    Difference or None
+        The first slot that differs and, within it, the first field in the order of the log's
+        topics; None if no bit differs.
+
+    Raises
+    ------
+    LogError
+        If the log is damaged.
+    ValueError
+        If its decisions are none that the simulator takes.
+    """
+    simulator: Simulator | None = None
+    with LogReader(run.path, verify="chunks") as log:
+        for batch in run.batches():
+            if batch.begins or simulator is None:
+                keys = run.keys[batch.first_env : batch.first_env + batch.num_envs]
+                simulator = Simulator(run.scenario, run.gains, keys, run.episode_slots)
+            logged = _read(log, batch)
+            record = _compute(simulator, run, logged)
+            if (found := _first_difference(batch, logged, record)) is not None:
+                return found
+            if on_slots is not None:
+                on_slots(batch.stop_slot)
+        return _event_difference(run, log)
+
+
+def _read(log: LogReader, batch: Batch) -> Fields:
+    """All fields of a batch, leading axes (E, T)."""
+    fields: Fields = {}
+    for topic in log.topics:
+        fields |= log.read(topic, None, batch.first_slot, batch.stop_slot)
+    del fields["slot"]
+    lead = batch.num_envs, batch.num_slots
+    return {name: values.reshape(*lead, *values.shape[1:]) for name, values in fields.items()}
+
+
+def _compute(simulator: Simulator, run: LoggedRun, logged: Fields) -> SlotRecord:
+    """Compute a batch from its decisions."""
+    if run.stage == "gain_study":
+        return simulator.run_robots(logged["network_delay_s"])
+    if run.policy in CLASSICAL:
+        cuts = _changes(logged["multiplier"])
+    else:
+        cuts = np.arange(logged["weight"].shape[1])
+    record = simulator.new_record(logged["weight"].shape[1])
+    weights = logged["weight"].astype(np.float64)
+    stops = [*cuts[1:].tolist(), weights.shape[1]]
+    for start, stop in zip(cuts.tolist(), stops, strict=True):
+        part = simulator.new_record(stop - start)
+        multipliers = logged["multiplier"][:, start].copy()
+        if run.policy in CLASSICAL:
+            simulator.run(run.policy, multipliers=multipliers, record=part)
+        else:
+            simulator.run("pf", weights=weights[:, start].copy(), multipliers=multipliers,
+                          record=part)  # fmt: skip
+        for name in SlotRecord._fields:
+            getattr(record, name)[:, start:stop] = getattr(part, name)
+    return record
+
+
+def _changes(values: NDArray[Any]) -> NDArray[np.intp]:
+    """Slots from which on values (E, T, N) are others than before, 0 among them."""
+    changed = (values[:, 1:] != values[:, :-1]).any(axis=(0, 2))
+    return np.concatenate([[0], np.flatnonzero(changed) + 1])
+
+
+def _first_difference(batch: Batch, logged: Fields, record: SlotRecord) -> Difference | None:
+    """Compare a batch; the earliest slot wins, then the order of the topics."""
+    found: tuple[int, str] | None = None
+    for name in _TOPIC_OF:
+        if name in logged:
+            differs = _bits(logged[name]) != _bits(getattr(record, name))
+            rows = np.flatnonzero(differs.reshape(batch.num_envs * batch.num_slots, -1).any(axis=1))
+            if len(rows) and (found is None or rows[0] < found[0]):
+                found = int(rows[0]), name
+    if found is None:
+        return None
+    row, name = found
+    env, slot = divmod(row, batch.num_slots)
+    a, b = logged[name][env, slot], getattr(record, name)[env, slot]
+    place = tuple(np.argwhere(_bits(a) != _bits(b))[0].tolist())
+    return Difference(
+        slot=batch.first_slot + row,
+        topic=_TOPIC_OF[name],
+        field=name + (f"[{','.join(map(str, place))}]" if place else ""),
+        logged=a[place].item(),
+        computed=b[place].item(),
+    )
+
+
+def _bits(values: NDArray[Any]) -> NDArray[Any]:
+    """View numbers as integers: NaNs and signed zeros are compared by their bits."""
+    return np.asarray(values).view(f"u{values.itemsize}")
+
+
+def _event_difference(run: LoggedRun, log: LogReader) -> Difference | None:
+    """Compare the events with those that follow from the slots."""
+    fields: Fields = {}
+    for topic in log.topics:
+        names = [name for name in _EVENT_FIELDS if _TOPIC_OF[name] == topic]
+        if names:
+            fields |= log.read(topic, names)
+    computed = []
+    for first in range(0, run.num_slots, run.episode_slots):
+        episode = {k: v[first : first + run.episode_slots] for k, v in fields.items()}
+        computed += slot_events(run.scenario, run.schedule, episode, first)
+    logged = log.events()
+    for a, b in zip(logged, computed, strict=False):
+        for name in ("slot", "level", "name", "message"):
+            if getattr(a, name) != getattr(b, name):
+                slot = min(a.slot, b.slot)
+                return Difference(slot, "/events", name, getattr(a, name), getattr(b, name))
+    if len(logged) != len(computed):
+        extra = (logged if len(logged) > len(computed) else computed)[
+            min(len(logged), len(computed))
+        ]
+        return Difference(extra.slot, "/events", "number", len(logged), len(computed))
+    return None
