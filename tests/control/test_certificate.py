@@ -6,7 +6,15 @@ import sys
 import numpy as np
 import pytest
 
-from hiersched.control import certify, lift, spectral_radius_by_delay
+from hiersched.control import (
+    analyse_delay_razumikhin,
+    analyse_krasovskii,
+    analyse_razumikhin,
+    certify,
+    lift,
+    simulate_random_delays,
+    spectral_radius_by_delay,
+)
 from hiersched.control.certificate import (
     DelayRazumikhinWitness,
     KrasovskiiWitness,
@@ -222,3 +230,53 @@ def test_importing_the_room_loads_no_solver():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
+
+
+def test_random_delays_follow_the_recursion_and_cover_the_range(simulate):
+    rng = np.random.default_rng(6)
+    A_c, A_d = rng.standard_normal((2, 3, 3)) / 4
+    states, delays = simulate_random_delays(A_c, A_d, 5, runs=6, samples=300, seed=4)
+    assert states.shape == (301, 6, 3)
+    assert delays.shape == (300, 6)
+    np.testing.assert_allclose(np.linalg.norm(states[0], axis=1), 1.0)
+    for run in range(6):
+        expected = simulate(A_c, A_d, delays[:, run], states[0, run])
+        np.testing.assert_allclose(states[:, run], expected, atol=1e-12)
+    assert set(np.unique(delays)) == set(range(6))
+    changes = (np.diff(delays, axis=0) != 0).sum(axis=0)
+    assert changes[0] > 200  # at every sample; now and then the draw repeats
+    assert changes[-1] < 30  # every 24 samples on average
+    again, _ = simulate_random_delays(A_c, A_d, 5, runs=6, samples=300, seed=4)
+    other, _ = simulate_random_delays(A_c, A_d, 5, runs=6, samples=300, seed=5)
+    np.testing.assert_array_equal(states, again)
+    assert not np.array_equal(states, other)
+    with pytest.raises(ValueError, match="runs is 0; it must be at least 1"):
+        simulate_random_delays(A_c, A_d, 5, runs=0)
+
+
+@pytest.mark.parametrize("analyse", ["c1", "c2", "c3"])
+def test_simulated_runs_keep_what_every_witness_promises(analyse, fridman):
+    T = 8
+    A_c, A_d = fridman
+    if analyse == "c1":
+        A_d = 0.05 * A_d
+        witness = analyse_razumikhin(A_c, A_d, T, 0.002)
+    elif analyse == "c2":
+        witness = analyse_delay_razumikhin(A_c, A_d, T)
+    else:
+        witness = analyse_krasovskii(A_c, A_d, T)
+    certificate = certify(A_c, A_d, T, witness, simulations=16)
+    assert certificate.certified
+    assert 0.0 < certificate.margins["simulation"] < 1.0
+    assert certificate.margins == certify(A_c, A_d, T, witness, simulations=16).margins
+
+
+@pytest.mark.parametrize("steps", [1, 30])
+def test_a_wrong_condition_is_caught_by_the_simulation(steps, monkeypatch):
+    """Were an inequality wrong and passed, the runs of a diverging loop would still fail."""
+    module = sys.modules["hiersched.control.certificate"]
+    monkeypatch.setattr(module, "_margins", lambda *args: ({"inequality": 1.0}, 1.0))
+    witness = RazumikhinWitness(P=np.eye(1), tau=0.1, decay_rate=0.1)
+    certificate = certify([[1.0]], [[-1.5]], steps, witness, simulations=4)
+    assert certificate.margins["simulation"] < 0.0
+    assert not certificate.certified

@@ -111,6 +111,15 @@ def test_design_rejects(make_network_plant, options, message):
         ({"kind": "split"}, "A_d is missing for a split plant"),
         ({"nominal_gain": np.ones((2, 2))}, r"nominal_gain has shape \(2, 2\)"),
         ({"sampling_s": 0.0}, "sampling_s is 0.0"),
+        ({"operator_gain": np.ones((1, 2))}, "operator_gain is given for a network plant"),
+        (
+            {"kind": "split", "A_d": np.eye(2), "operator_gain": np.ones((1, 2))},
+            "A_d is not -B operator_gain: they differ by up to 2",
+        ),
+        (
+            {"kind": "split", "A_d": np.eye(2), "operator_gain": np.ones((2, 2))},
+            r"operator_gain has shape \(2, 2\); it must be \(1, 2\)",
+        ),
     ],
 )
 def test_plant_rejects(changes, message):

@@ -97,6 +97,27 @@ def test_lookup_outside_the_table_is_an_error(schedule, delay):
             lambda d: d["entries"][1]["gain"][0].__setitem__(0, 0.5),
             r"gains\[1\] is not the nominal",
         ),
+        (
+            lambda d: d["entries"][6]["certificate"].update(certified=False),
+            r"status\[6\] is 'adjusted', but its certificate is not certified",
+        ),
+        (
+            lambda d: d["entries"][6].update(status="uncertified"),
+            r"status\[6\] is 'uncertified', but its certificate is certified",
+        ),
+        (
+            lambda d: d["entries"][1]["input_gains"][0][0].__setitem__(0, 0.5),
+            r"gains\[1\] is not the nominal",
+        ),
+        (
+            lambda d: d["entries"][6]["input_gains"][0][0].__setitem__(0, 0.5),
+            r"input_gains\[6\] is not zero; no certificate covers it",
+        ),
+        (
+            lambda d: d["entries"][6]["input_gains"].pop(),
+            r"entries\[6\].input_gains has shape \(5, 2, 2\); it must be \(6, 2, 2\)",
+        ),
+        (lambda d: d.update(operator_gain=[[1.0]]), r"operator_gain has shape \(1, 1\)"),
         (lambda d: d.update(sampling_s="0.02"), "sampling_s is '0.02'"),
         (lambda d: d["entries"][0]["certificate"].update(criterion="hope"), "criterion is 'hope'"),
     ],

@@ -1,0 +1,97 @@
+"""What the two syntheses share: public functions, problems compiled once, fixed functionals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import hiersched.control
+from hiersched.control import (
+    KrasovskiiSynthesis,
+    RazumikhinSynthesis,
+    analyse_krasovskii,
+    analyse_razumikhin,
+    certify,
+    synthesise_krasovskii,
+    synthesise_razumikhin,
+)
+from hiersched.control.razumikhin import LargestMargin
+
+
+def test_every_public_name_is_there():
+    for name in hiersched.control.__all__:
+        assert getattr(hiersched.control, name) is not None
+    with pytest.raises(AttributeError, match="no attribute 'magic'"):
+        _ = hiersched.control.magic
+
+
+def test_parametrised_problems_are_compiled_once(make_network_plant, make_split_plant):
+    """DPP: cvxpy keeps the canonical form and only puts in the parameters."""
+    razumikhin = RazumikhinSynthesis(make_split_plant(), 0.03)
+    problems = [
+        KrasovskiiSynthesis(make_network_plant())._problem,
+        KrasovskiiSynthesis(make_split_plant())._problem,
+        razumikhin._free,
+        razumikhin._fixed,
+        LargestMargin(np.ones((2, 4)))._problem,
+    ]
+    for problem in problems:
+        assert problem.is_dcp(dpp=True)
+        assert problem.parameters()
+
+
+def test_re_solving_along_a_schedule_equals_solving_afresh(make_split_plant):
+    plant = make_split_plant(100.0, 0.3)
+    synthesis = RazumikhinSynthesis(plant, 0.03)
+    for T in (5, 1):
+        again, fresh = synthesis.minimal_deviation(T), synthesise_razumikhin(plant, T, 0.03)
+        np.testing.assert_array_equal(again[0], fresh[0])
+
+
+@pytest.mark.parametrize(("share", "steps"), [(0.5, 5), (1.0, 12)])
+def test_c3_synthesis_of_either_plant_passes_the_check(
+    make_network_plant, make_split_plant, share, steps
+):
+    for plant in (make_network_plant(), make_split_plant(100.0, share)):
+        gain, witness = synthesise_krasovskii(plant, steps)
+        assert certify(*plant.closed_loop(gain), steps, witness).certified
+
+
+def test_c1_for_a_fixed_functional_is_exact(make_split_plant):
+    """(a): feasible, no farther than any certified gain with the same P, and tight."""
+    plant, T, rate = make_split_plant(100.0, 0.3), 5, 0.03
+    synthesis = RazumikhinSynthesis(plant, rate)
+    reference, reference_witness = synthesis.minimal_deviation(T)
+    gain, witness = synthesis.closest_for(reference_witness.P, T)
+    loop = plant.closed_loop(gain)
+    assert certify(*loop, T, witness).certified
+    nominal = plant.nominal_gain
+    distance = np.linalg.norm(gain - nominal)
+    assert distance <= np.linalg.norm(reference - nominal) * (1 + 1e-3)
+    closer = plant.closed_loop(nominal + 0.97 * (gain - nominal))
+    assert not certify(*closer, T, witness).certified
+    with pytest.raises(ValueError, match="P is not positive definite"):
+        synthesis.closest_for(-np.eye(5), T)
+    # A functional of another kind admits no gain at all.
+    assert synthesis.closest_for(np.diag([1.0, 1.0, 1.0, 1e6, 1e6]), T) is None
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda A, D: analyse_krasovskii(A, D, -1), "delay_steps is -1"),
+        (lambda A, D: analyse_krasovskii(A, D[:1], 1), r"A_d has shape \(1, 2\)"),
+        (lambda A, D: analyse_razumikhin(A * np.nan, D, 1, 0.1), r"A_c\[0, 0\] is nan"),
+        (lambda A, D: analyse_razumikhin(A, D, 1, 1.5), "decay_rate is 1.5"),
+    ],
+)
+def test_analysis_rejects(fridman, call, message):
+    with pytest.raises(ValueError, match=message):
+        call(*fridman)
+
+
+def test_synthesis_rejects(make_network_plant):
+    with pytest.raises(ValueError, match=r"delay_steps is 1\.5"):
+        synthesise_krasovskii(make_network_plant(), 1.5)
+    with pytest.raises(ValueError, match="needs a 'split' plant"):
+        synthesise_razumikhin(make_network_plant(), 1)
