@@ -103,7 +103,9 @@ class LogFile(RecordFile):
         header = self.record(len(MAGIC), None, Header)
         match = re.fullmatch(r"hiersched-log/([1-9][0-9]{0,8})", header.library)
         if match is None:
-            raise self._fail(len(MAGIC), f"this MCAP file is by {header.library!r}, not a log")
+            raise self._fail(
+                len(MAGIC), f"this MCAP file is by {header.library!r}, not a log of hiersched"
+            )
         self._check_version(int(match[1]), len(MAGIC))
 
     def _truncated(self) -> LogError:

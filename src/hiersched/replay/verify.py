@@ -55,8 +55,9 @@ def verify(run: LoggedRun, on_slots: Callable[[int], None] | None = None) -> Dif
     """Compute every slot of a log again and compare it bit for bit.
 
     The world comes from the seed and has to be the logged one. Classical schedulers decide again;
-    decisions that the log alone knows, the weights of a policy that learns and the forced delays
-    of a gain study, are taken from it, and all that follows from them is computed.
+    the decisions of learned policies, weights and multipliers, and the forced delays of a gain
+    study are taken from the log, and all that follows from them is computed: first of all who gets
+    which PRB. Whether a learned policy's weights are its own, `rerun` says.
 
     Parameters
     ----------
@@ -78,14 +79,14 @@ def verify(run: LoggedRun, on_slots: Callable[[int], None] | None = None) -> Dif
     ValueError
         If its decisions are none that the simulator takes.
     """
-    simulator: Simulator | None = None
+    start: tuple[Simulator, NDArray[np.float64]] | None = None
     with LogReader(run.path, verify="chunks") as log:
         for batch in run.batches():
-            if batch.begins or simulator is None:
-                keys = run.keys[batch.first_env : batch.first_env + batch.num_envs]
-                simulator = Simulator(run.scenario, run.gains, keys, run.episode_slots)
             logged = _read(log, batch)
-            record = _compute(simulator, run, logged)
+            if batch.begins:
+                start = _start(run, batch, logged)
+            assert start is not None  # the first batch begins
+            record = _compute(*start, run, logged)
             if (found := _first_difference(batch, logged, record)) is not None:
                 return found
             if on_slots is not None:
@@ -103,34 +104,31 @@ def _read(log: LogReader, batch: Batch) -> Fields:
     return {name: values.reshape(*lead, *values.shape[1:]) for name, values in fields.items()}
 
 
-def _compute(simulator: Simulator, run: LoggedRun, logged: Fields) -> SlotRecord:
+def _compute(
+    simulator: Simulator, multipliers: NDArray[np.float64], run: LoggedRun, logged: Fields
+) -> SlotRecord:
     """Compute a batch from its decisions."""
     if run.stage == "gain_study":
         return simulator.run_robots(logged["network_delay_s"])
-    if run.policy in CLASSICAL:
-        cuts = _changes(logged["multiplier"])
-    else:
-        cuts = np.arange(logged["weight"].shape[1])
     record = simulator.new_record(logged["weight"].shape[1])
+    if run.policy in CLASSICAL:
+        return simulator.run(run.policy, multipliers=multipliers, record=record)
     weights = logged["weight"].astype(np.float64)
-    stops = [*cuts[1:].tolist(), weights.shape[1]]
-    for start, stop in zip(cuts.tolist(), stops, strict=True):
-        part = simulator.new_record(stop - start)
-        multipliers = logged["multiplier"][:, start].copy()
-        if run.policy in CLASSICAL:
-            simulator.run(run.policy, multipliers=multipliers, record=part)
-        else:
-            simulator.run("pf", weights=weights[:, start].copy(), multipliers=multipliers,
-                          record=part)  # fmt: skip
+    one = simulator.new_record(1)
+    for slot in range(weights.shape[1]):
+        now = weights[:, slot].copy()
+        simulator.run("pf", weights=now, multipliers=multipliers, record=one)
         for name in SlotRecord._fields:
-            getattr(record, name)[:, start:stop] = getattr(part, name)
+            getattr(record, name)[:, slot] = getattr(one, name)[:, 0]
     return record
 
 
-def _changes(values: NDArray[Any]) -> NDArray[np.intp]:
-    """Slots from which on values (E, T, N) are others than before, 0 among them."""
-    changed = (values[:, 1:] != values[:, :-1]).any(axis=(0, 2))
-    return np.concatenate([[0], np.flatnonzero(changed) + 1])
+def _start(run: LoggedRun, batch: Batch, logged: Fields) -> tuple[Simulator, NDArray[np.float64]]:
+    """Episodes that begin, and their multipliers (E, R), which keep their first values."""
+    keys = run.keys[batch.first_env : batch.first_env + batch.num_envs]
+    first: NDArray[np.float64] = logged["multiplier"][:, 0].copy()
+    multipliers = np.zeros_like(first) if run.policy in CLASSICAL else first
+    return Simulator(run.scenario, run.gains, keys, run.episode_slots), multipliers
 
 
 def _first_difference(batch: Batch, logged: Fields, record: SlotRecord) -> Difference | None:

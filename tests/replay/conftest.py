@@ -1,0 +1,85 @@
+"""Logs of every stage of a study that is over in seconds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hiersched.log import LogReader, LogWriter
+from hiersched.runs import paths
+from hiersched.runs.evaluate import evaluate
+from hiersched.runs.gain_study import gain_study
+from hiersched.runs.gains import design_gains
+from hiersched.runs.learned import LearnedRunner
+from hiersched.runs.policies import run_classical
+from hiersched.runs.sweep import sweep
+from hiersched.runs.train import train_and_log
+from hiersched.runs.variants import gain_designs
+from hiersched.scenario import Scenario, load_scenario
+
+# Two worlds for each learned policy: they run side by side. Windows of a tenth of a second: the
+# dexterity index changes within a run. Delays beyond the table: events.
+SMALL = """
+name: small
+users: {num_urllc: 2, num_embb: 2}
+radio: {bandwidth_hz: 2.0e+6, num_prb: 5}
+traffic: {urllc_offered_mbps: [20.0, 30.0], load: 1.1}
+control: {max_delay_s: 0.04}
+robot: {window_s: 0.1}
+learning: {seeds: [1], episodes: 4, slots_per_episode: 12, num_envs: 2, hidden: [8],
+           batch_size: 8, warmup_slots: 4}
+evaluate: {seeds: [11, 12], duration_s: 0.4, policies: [ddpg, pf, edf, drift_plus_penalty]}
+sweeps: {seeds: [21], duration_s: 0.1, policies: [ddpg, pf], rayleigh_scale: [0.5],
+         sampling_s: [0.02], reference: [arc], load: [0.9]}
+gain_study: {seeds: [31], num_robots: 3, num_windows: 3, violation_windows: [2]}
+log: {chunk_bytes: 16384}
+"""
+
+
+@pytest.fixture(scope="session")
+def small(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Scenario:
+    path = tmp_path_factory.mktemp("scenario") / "small.yaml"
+    path.write_text(SMALL, encoding="utf-8")
+    return load_scenario(path, defaults=project_root / "config" / "defaults.yaml")
+
+
+@pytest.fixture(scope="session")
+def study(small: Scenario, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a whole study; tests must not write here."""
+    results = tmp_path_factory.mktemp("study")
+    for design in gain_designs(small):
+        design_gains(small, design, results / paths.gain_file(design))
+    train_and_log(small, results, "code", show=False)
+    learned = LearnedRunner([results / name for name in paths.policy_files(small)])
+    for group, run in (("classical", run_classical), ("ddpg", learned)):
+        evaluate(small, results, group, run)
+        for axis in ("rayleigh_scale", "reference"):
+            sweep(small, results, axis, group, run)
+    gain_study(small, results)
+    return results
+
+
+@pytest.fixture(scope="session")
+def rewrite() -> Callable[..., Path]:
+    """Write a log once more, with something in it changed: all its checksums are right."""
+
+    def write(source: Path, target: Path, change: Callable[[dict, list, dict], None]) -> Path:
+        with LogReader(source) as log:
+            fields: dict[str, Any] = {}
+            for topic in log.topics:
+                fields |= log.read(topic)
+            events, metadata = log.events(), dict(log.metadata)
+            dims, profile, slot_ns = log.dims, log.profile, log.slot_ns
+            attachments = log.attachments
+        first = int(fields.pop("slot")[0])
+        change(fields, events, metadata)
+        with LogWriter(target, dims, profile, metadata, attachments, slot_ns=slot_ns) as writer:
+            writer.write_block(first, fields)
+            for event in events:
+                writer.event(*event)
+        return target
+
+    return write

@@ -1,0 +1,144 @@
+"""A log is what the simulator computes, to the last bit, or `verify` says where it is not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hiersched.log import TOPICS, LogError, LogReader, LogWriter
+from hiersched.replay import source
+from hiersched.replay.source import load_run
+from hiersched.replay.verify import verify
+
+FULL = "eval/edf/seed12.mcap"
+TOPIC_OF = {field.name: name for name, topic in TOPICS.items() for field in topic.fields[1:]}
+
+
+def test_every_log_of_a_study_is_what_the_simulator_computes(study: Path) -> None:
+    logs = sorted(study.rglob("*.mcap"))
+    stages = {}
+    for path in logs:
+        run = load_run(path)
+        stages.setdefault((run.stage, run.policy), 0)
+        stages[run.stage, run.policy] += 1
+        assert verify(run) is None, path
+    assert stages == {
+        ("train", "ddpg"): 1,
+        **{("evaluate", policy): 2 for policy in ("ddpg", "pf", "edf", "drift_plus_penalty")},
+        **{("sweep", policy): 2 for policy in ("ddpg", "pf")},
+        ("gain_study", "none"): 4,
+    }
+
+
+def test_batches_are_the_same_run(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However a long log is cut."""
+    monkeypatch.setattr(source, "_BATCH_SLOTS", 7)
+    seen: list[int] = []
+    for name in (FULL, "train/ddpg/seed1.mcap", "gain_study/krasovskii_adjusted_seed31.mcap"):
+        run = load_run(study / name)
+        assert sum(batch.num_envs * batch.num_slots for batch in run.batches()) == run.num_slots
+        assert len(list(run.batches())) >= 4
+        assert verify(run, seen.append) is None
+        assert seen[-1] == run.num_slots
+
+
+def flip(field: str, slot: int, bit: int) -> Callable[[dict, list, dict], None]:
+    def change(fields: dict[str, Any], events: list, metadata: dict) -> None:
+        values = fields[field] = fields[field].copy()
+        rows = values.reshape(len(values), -1)
+        index = rows.shape[1] // 2
+        view = rows[slot, index : index + 1].view(np.uint8)
+        view[bit // 8] ^= 1 << bit % 8
+
+    return change
+
+
+@pytest.mark.parametrize("name", [FULL, "train/ddpg/seed1.mcap"])
+def test_one_changed_bit_is_caught_with_slot_and_field(
+    name: str, study: Path, tmp_path: Path, rewrite: Any
+) -> None:
+    with LogReader(study / name) as log:
+        fields = [field for topic in log.topics for field in log.read(topic, None, 0, 0)]
+    # The weights of a policy that learns are decisions, which the log alone knows.
+    taken = {"slot", "weight"} if "train" in name else {"slot"}
+    for number, field in enumerate(field for field in fields if field not in taken):
+        slot = 14 + number % 9
+        path = rewrite(study / name, tmp_path / "a.mcap", flip(field, slot, number % 32))
+        found = verify(load_run(path))
+        assert found is not None, field
+        assert (found.slot, found.topic, found.field.split("[")[0]) == (
+            slot, TOPIC_OF[field], field,
+        )  # fmt: skip
+        assert found.logged != found.computed or np.isnan(found.logged)
+        assert f"slot {slot}, topic {TOPIC_OF[field]}, field {field}" in str(found)
+
+
+def test_the_first_of_two_changes_is_named(study: Path, tmp_path: Path, rewrite: Any) -> None:
+    def change(*arguments: Any) -> None:
+        flip("drift_embb", 22, 3)(*arguments)
+        flip("state", 9, 0)(*arguments)
+        flip("reward_embb", 9, 0)(*arguments)
+
+    found = verify(load_run(rewrite(study / FULL, tmp_path / "a.mcap", change)))
+    assert found is not None
+    assert (found.slot, found.topic, found.field) == (9, "/delay", "reward_embb")
+
+
+def test_forced_delays_are_decisions_and_what_follows_is_computed(
+    study: Path, tmp_path: Path, rewrite: Any
+) -> None:
+    name = "gain_study/krasovskii_adjusted_seed31.mcap"
+    for field, caught in (("state", "state"), ("network_delay_s", "delay_steps")):
+        path = rewrite(study / name, tmp_path / "a.mcap", flip(field, 17, 62))
+        found = verify(load_run(path))
+        assert found is not None
+        assert (found.slot, found.field.split("[")[0]) == (17, caught)
+
+
+def test_events_are_computed_too(study: Path, tmp_path: Path, rewrite: Any) -> None:
+    with LogReader(study / FULL) as log:
+        count = len(log.events())
+    assert count > 1
+
+    def another_text(fields: dict, events: list, metadata: dict) -> None:
+        events[1] = events[1]._replace(message="all is well")
+
+    def one_less(fields: dict, events: list, metadata: dict) -> None:
+        del events[-1]
+
+    found = verify(load_run(rewrite(study / FULL, tmp_path / "a.mcap", another_text)))
+    assert found is not None
+    assert (found.topic, found.field, found.logged) == ("/events", "message", "all is well")
+    found = verify(load_run(rewrite(study / FULL, tmp_path / "b.mcap", one_less)))
+    assert found is not None
+    assert (found.field, found.logged, found.computed) == ("number", count - 1, count)
+
+
+def test_another_seed_is_another_world(study: Path, tmp_path: Path, rewrite: Any) -> None:
+    path = rewrite(study / FULL, tmp_path / "a.mcap", lambda f, e, m: m.update(seed="13"))
+    found = verify(load_run(path))
+    assert found is not None
+    assert (found.slot, found.topic, found.field) == (0, "/channel", "fading_power[0,0]")
+
+
+def test_logs_that_cannot_be_run_again_say_why(study: Path, tmp_path: Path, rewrite: Any) -> None:
+    cases = [
+        (lambda f, e, m: m.update(stage="demo"), "its stage is 'demo'; allowed: train, evaluate"),
+        (lambda f, e, m: m.pop("policy"), "it has no policy"),
+        (lambda f, e, m: m.update(scenario_sha256="0"), "the attached scenario is not the one"),
+        (lambda f, e, m: m.update(seed="one"), "invalid literal"),
+    ]
+    for change, message in cases:
+        path = rewrite(study / FULL, tmp_path / "a.mcap", change)
+        with pytest.raises(LogError, match=f"cannot be run again: {message}"):
+            load_run(path)
+    with LogReader(study / FULL) as log:
+        part = {k: v for t in log.topics for k, v in log.read(t, None, 3, 9).items() if k != "slot"}
+        with LogWriter(tmp_path / "b.mcap", log.dims, slot_ns=log.slot_ns) as writer:
+            writer.write_block(3, part)
+    with pytest.raises(LogError, match="does not have all slots from 0 on"):
+        load_run(tmp_path / "b.mcap")
