@@ -5,7 +5,7 @@ import logging
 import numpy as np
 import pytest
 
-from hiersched.control import DelayedPlant, certify, design_gain
+from hiersched.control import DelayedPlant, certify, design_gain, network_plant
 from hiersched.control.design import GainDesigner
 
 
@@ -78,8 +78,6 @@ def test_random_plants_never_yield_an_uncertified_adjusted_gain():
         A = rng.standard_normal((n, n))
         A *= rng.uniform(0.9, 1.15) / np.abs(np.linalg.eigvals(A)).max()
         B = rng.standard_normal((n, m))
-        from hiersched.control import network_plant
-
         plant = network_plant(A, B, np.eye(n), 0.01 * np.eye(m), sampling_s=0.1)
         design = design_gain(plant, 2)
         seen.add(design.status)
@@ -111,6 +109,10 @@ def test_design_rejects(make_network_plant, options, message):
         ({"kind": "split"}, "A_d is missing for a split plant"),
         ({"nominal_gain": np.ones((2, 2))}, r"nominal_gain has shape \(2, 2\)"),
         ({"sampling_s": 0.0}, "sampling_s is 0.0"),
+        ({"A": np.ones((2, 3))}, r"A has shape \(2, 3\); it must be square"),
+        ({"B": np.array([[1.0], [np.nan]])}, r"B\[1, 0\] is nan; every entry must be finite"),
+        ({"Q": np.diag([1.0, -1.0])}, "Q is not positive semidefinite: smallest eigenvalue -1"),
+        ({"R": np.zeros((1, 1))}, "R is not positive definite"),
         ({"operator_gain": np.ones((1, 2))}, "operator_gain is given for a network plant"),
         (
             {"kind": "split", "A_d": np.eye(2), "operator_gain": np.ones((1, 2))},
@@ -150,3 +152,20 @@ def test_first_unstable_delay_of_the_split_plant(make_split_plant, share, first_
     plant = make_split_plant(100.0, share)
     radii = certify(*plant.closed_loop(plant.nominal_gain), 30, None).spectral_radii
     assert int(np.argmax(radii >= 1)) == first_unstable
+
+
+def test_a_pair_that_no_gain_stabilises_is_named():
+    A, B = np.diag([1.2, 0.5]), np.array([[0.0], [1.0]])
+    with pytest.raises(ValueError, match=r"\(A, B\) is not stabilisable: no input moves the mode"):
+        network_plant(A, B, np.eye(2), np.eye(1), sampling_s=0.1)
+    given = DelayedPlant(
+        A=A,
+        B=B,
+        Q=np.eye(2),
+        R=np.eye(1),
+        kind="network",
+        nominal_gain=np.ones((1, 2)),
+        sampling_s=0.1,
+    )
+    with pytest.raises(ValueError, match=r"\(A, B\) is not stabilisable"):
+        design_gain(given, 1)

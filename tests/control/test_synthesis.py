@@ -15,6 +15,7 @@ from hiersched.control import (
     synthesise_krasovskii,
     synthesise_razumikhin,
 )
+from hiersched.control.krasovskii_fixed import FixedFunctional
 from hiersched.control.razumikhin import LargestMargin
 
 
@@ -33,6 +34,8 @@ def test_parametrised_problems_are_compiled_once(make_network_plant, make_split_
         KrasovskiiSynthesis(make_split_plant())._problem,
         razumikhin._free,
         razumikhin._fixed,
+        FixedFunctional(make_network_plant())._problem,
+        FixedFunctional(make_split_plant())._problem,
         LargestMargin(np.ones((2, 4)))._problem,
     ]
     for problem in problems:
@@ -73,6 +76,33 @@ def test_c1_for_a_fixed_functional_is_exact(make_split_plant):
         synthesis.closest_for(-np.eye(5), T)
     # A functional of another kind admits no gain at all.
     assert synthesis.closest_for(np.diag([1.0, 1.0, 1.0, 1e6, 1e6]), T) is None
+
+
+@pytest.mark.parametrize("kind", ["network", "split"])
+def test_c3_for_a_fixed_functional_is_exact(make_network_plant, make_split_plant, kind):
+    """(a): certified by the P and R given, nearer than the gain they were found with, and tight."""
+    plant, T = (
+        (make_network_plant(), 6) if kind == "network" else (make_split_plant(100.0, 1.0), 13)
+    )
+    nominal, synthesis = plant.nominal_gain, KrasovskiiSynthesis(plant)
+    slower, its_witness = synthesis.minimal_deviation(T + 2)
+    gain, witness = synthesis.closest_for(analyse_krasovskii(*plant.closed_loop(slower), T), T)
+    assert certify(*plant.closed_loop(gain), T, witness).certified
+    assert np.linalg.norm(gain - nominal) < 0.99 * np.linalg.norm(slower - nominal)
+    closer = plant.closed_loop(nominal + 0.98 * (gain - nominal))
+    assert not certify(*closer, T, witness).certified
+    with pytest.raises(ValueError, match="delay_steps is 0; C3 with a fixed functional"):
+        synthesis.closest_for(its_witness, 0)
+
+
+def test_alternation_comes_closer_and_stays_certified(make_network_plant):
+    plant = make_network_plant()
+    distances = []
+    for rounds in (0, 10):
+        gain, witness = synthesise_krasovskii(plant, 12, max_alternations=rounds)
+        assert certify(*plant.closed_loop(gain), 12, witness).certified
+        distances.append(np.linalg.norm(gain - plant.nominal_gain))
+    assert distances[1] < 0.97 * distances[0]
 
 
 @pytest.mark.parametrize(

@@ -9,9 +9,16 @@ import cvxpy as cp
 import numpy as np
 
 from hiersched.control.certificate import KrasovskiiWitness
-from hiersched.control.checks import FloatArray, as_delay_steps
+from hiersched.control.checks import FloatArray, as_delay_steps, as_symmetric, require_definite
 from hiersched.control.krasovskii import analyse_krasovskii
-from hiersched.control.lmi import STRICT, Expression, line_search, solve, symmetric_blocks
+from hiersched.control.krasovskii_fixed import FixedFunctional
+from hiersched.control.lmi import (
+    STRICT,
+    Expression,
+    line_search,
+    solve,
+    symmetric_blocks,
+)
 from hiersched.control.plant import DelayedPlant
 
 CENTRAL_EPSILON = 5.0
@@ -42,6 +49,7 @@ class KrasovskiiSynthesis:
 
     def __init__(self, plant: DelayedPlant) -> None:
         self._plant, self._scaling = plant, plant.scaling
+        self._fixed: FixedFunctional | None = None  # compiled when it is first asked for
         inverse = np.linalg.inv(self._scaling)
         A, B = self._scaling @ plant.A @ inverse, self._scaling @ plant.B
         n, m = B.shape
@@ -98,20 +106,21 @@ class KrasovskiiSynthesis:
         return symmetric_blocks([row1, row2, [-S - R, R - X.T], [-2 * R + X + X.T]])
 
     def minimal_deviation(
-        self, delay_steps: int, *, max_reweights: int = 12
+        self, delay_steps: int, *, max_reweights: int = 12, max_alternations: int = 0
     ) -> tuple[FloatArray, KrasovskiiWitness] | None:
         """Return the gain closest to the nominal one that C3 admits, and why it is stable.
 
-        Minimises ||(Y - K Q2) W||_F in the units of x with a line search over epsilon
+        (b): minimises ||(Y - K Q2) W||_F in the units of x with a line search over epsilon
         (coarse to fine, on a logarithmic scale), then reweights W by the last Q2^-1 while the
-        deviation ||K^ - K||_F falls.
+        deviation ||K^ - K||_F falls. (c), where asked for: alternates `closest_for` with the
+        functional of largest margin. It comes closer to K, and closer to the edge of stability.
 
         Parameters
         ----------
         delay_steps : int
             Longest delay T in samples.
-        max_reweights : int
-            Most reweighted solves.
+        max_reweights, max_alternations : int
+            Most solves of either refinement.
 
         Returns
         -------
@@ -142,7 +151,54 @@ class KrasovskiiSynthesis:
                 break
             best = candidate
         witness = analyse_krasovskii(*self._plant.closed_loop(best.K), T)
-        return None if witness is None else (best.K, witness)
+        if witness is None:
+            return None
+        gain, shortest = best.K, best.deviation
+        for _ in range(max_alternations):
+            closest = self.closest_for(witness, T)
+            if closest is None:
+                break
+            distance = float(np.linalg.norm(closest[0] - self._nominal))
+            centred = analyse_krasovskii(*self._plant.closed_loop(closest[0]), T)
+            if centred is None or distance >= shortest * (1.0 - 1e-3):
+                break
+            gain, shortest, witness = closest[0], distance, centred
+        return gain, witness
+
+    def closest_for(
+        self, functional: KrasovskiiWitness, delay_steps: int
+    ) -> tuple[FloatArray, KrasovskiiWitness] | None:
+        """Return the gain closest to the nominal one for a fixed P and R: (a), exact and convex.
+
+        Minimises ||K^ - K||_F^2 over (K^, S, X) subject to C3 as in `analyse_krasovskii`, written
+        with the Schur complement of e^T (P + T^2 R) e: e is linear in K^, so all is linear.
+
+        Parameters
+        ----------
+        functional : KrasovskiiWitness
+            Its P (positive definite) and R are kept; its S and X are not used.
+        delay_steps : int
+            Longest delay T in samples, at least 1.
+
+        Returns
+        -------
+        (ndarray, shape (m, n), KrasovskiiWitness) or None
+            The gain and its witness, not yet certified; None if these P and R admit no gain.
+
+        Raises
+        ------
+        ValueError
+            If a matrix is malformed, P is not positive definite, or T is 0.
+        """
+        T = as_delay_steps("delay_steps", delay_steps)
+        if T == 0:
+            raise ValueError("delay_steps is 0; C3 with a fixed functional needs at least 1")
+        n = self._plant.A.shape[0]
+        P, R = as_symmetric("P", functional.P, n), as_symmetric("R", functional.R, n)
+        require_definite("P", P)
+        if self._fixed is None:
+            self._fixed = FixedFunctional(self._plant)
+        return self._fixed.solve(P, R, T)
 
     def _solve(self, T: int, epsilon: float, weight: FloatArray) -> _Solution | None:
         self._steps.value, self._per_step.value = float(T), 1.0 / T
@@ -158,7 +214,7 @@ class KrasovskiiSynthesis:
 
 
 def synthesise_krasovskii(
-    plant: DelayedPlant, delay_steps: int
+    plant: DelayedPlant, delay_steps: int, *, max_alternations: int = 0
 ) -> tuple[FloatArray, KrasovskiiWitness] | None:
     """C3 synthesis: the gain closest to the nominal one that C3 admits, for either plant.
 
@@ -181,6 +237,8 @@ def synthesise_krasovskii(
         The plant; `plant.nominal_gain` is the gain to stay close to.
     delay_steps : int
         Longest delay T in samples.
+    max_alternations : int
+        Most rounds of (c), after which the gain is closer still, but nearer to instability.
 
     Returns
     -------
@@ -193,4 +251,5 @@ def synthesise_krasovskii(
     ValueError
         If the delay is negative or not whole.
     """
-    return KrasovskiiSynthesis(plant).minimal_deviation(delay_steps)
+    synthesis = KrasovskiiSynthesis(plant)
+    return synthesis.minimal_deviation(delay_steps, max_alternations=max_alternations)

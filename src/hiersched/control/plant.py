@@ -11,7 +11,14 @@ from typing import Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from hiersched.control.checks import FloatArray, as_matrix, as_square, as_symmetric
+from hiersched.control.checks import (
+    FloatArray,
+    as_matrix,
+    as_square,
+    as_symmetric,
+    require_definite,
+    require_semidefinite,
+)
 from hiersched.control.lqr import dlqr
 
 PlantKind = Literal["network", "split"]
@@ -88,6 +95,8 @@ class DelayedPlant:
             "R": as_symmetric("R", self.R, m),
             "nominal_gain": as_matrix("nominal_gain", self.nominal_gain, (m, n)),
         }
+        require_semidefinite("Q", arrays["Q"])
+        require_definite("R", arrays["R"])
         if self.A_d is not None:
             arrays["A_d"] = as_square("A_d", self.A_d, n)
         if self.operator_gain is not None:
