@@ -20,7 +20,8 @@ def add_commands(commands: Any) -> None:
         ("info", _info, "say what a log holds, and check every byte of it"),
         ("digest", _digest, "hash topic, time and payload, whatever compression and chunks"),
         ("recover", _recover, "write what is whole in a damaged or unfinished log into a new one"),
-        ("export", _export, "write the topics of a log as tables, one file a topic"),
+        ("export", _export, "write the topics of a log as tables, or what viewers need beside it"),
+        ("view", _view, "open a log in Rerun (needs rerun-sdk: the extra hiersched[viewer])"),
     ):
         parser = commands.add_parser(name, help=text, description=text)
         parser.add_argument("log", metavar="LOG", help="an MCAP file of hiersched")
@@ -28,6 +29,10 @@ def add_commands(commands: Any) -> None:
         if name == "recover":
             parser.add_argument(
                 "--out", metavar="LOG2", help="the new log (LOG with .recovered.mcap)"
+            )
+        if name == "view":
+            parser.add_argument(
+                "--save", metavar="FILE", help="write a Rerun recording (.rrd) instead"
             )
         if name == "export":
             _add_export_options(parser)
@@ -38,6 +43,7 @@ def _add_export_options(parser: argparse.ArgumentParser) -> None:
     for name, text in (
         ("csv", "as CSV; numbers read back to the same bits"),
         ("parquet", "as Parquet (needs pyarrow: the extra hiersched[parquet])"),
+        ("viewer", "poses and images for viewers as viewer.mcap, a layout as foxglove.json"),
     ):
         form.add_argument(f"--{name}", dest="form", action="store_const", const=name, help=text)
     parser.add_argument("--out", metavar="FOLDER", help="folder of the files (LOG without .mcap)")
@@ -130,10 +136,14 @@ def _statistics(log: LogReader) -> list[str]:
 
 def _export(parsed: argparse.Namespace) -> int:
     from hiersched.cli import InputError
-    from hiersched.replay.export import export_tables
+    from hiersched.replay.export import export_for_viewers, export_tables
 
     source = Path(parsed.log)
     folder = Path(parsed.out) if parsed.out else source.with_suffix("")
+    if parsed.form == "viewer":
+        for path in export_for_viewers(source, folder):
+            print(path)
+        return 0
     try:
         written = export_tables(
             source, folder, parsed.form, parsed.topic, parsed.start, parsed.stop
@@ -142,4 +152,17 @@ def _export(parsed: argparse.Namespace) -> int:
         raise InputError(str(error)) from error
     for path in written:
         print(path)
+    return 0
+
+
+def _view(parsed: argparse.Namespace) -> int:
+    from hiersched.cli import InputError
+    from hiersched.replay.view import show_in_rerun
+
+    try:
+        show_in_rerun(parsed.log, parsed.save)
+    except ImportError as error:
+        raise InputError(
+            "view needs rerun-sdk, which is not installed: pip install 'hiersched[viewer]'"
+        ) from error
     return 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import os
 from collections.abc import Sequence
@@ -70,6 +71,41 @@ def export_tables(
             os.replace(part, file)
             written.append(file)
     return written
+
+
+def export_for_viewers(path: str | os.PathLike[str], folder: str | os.PathLike[str]) -> list[Path]:
+    """Write what Foxglove and other viewers open beside a log.
+
+    Parameters
+    ----------
+    path
+        The log.
+    folder
+        Where ``viewer.mcap`` (poses, images of the allocation) and ``foxglove.json`` (a layout
+        for both files) go; it is made.
+
+    Returns
+    -------
+    list of Path
+        The files.
+
+    Raises
+    ------
+    LogError
+        If the log is damaged.
+    """
+    from hiersched.replay.view import foxglove_layout
+    from hiersched.replay.viewer_topics import write_viewer_topics
+
+    with LogReader(path) as log:
+        layout = foxglove_layout(log.dims)
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    topics, panels = Path(folder, "viewer.mcap"), Path(folder, "foxglove.json")
+    write_viewer_topics(path, topics)
+    part = panels.with_name(panels.name + ".part")
+    part.write_text(json.dumps(layout, indent=2) + "\n", encoding="utf-8")
+    os.replace(part, panels)
+    return [topics, panels]
 
 
 def _need_pyarrow() -> None:

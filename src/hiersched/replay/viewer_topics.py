@@ -1,0 +1,165 @@
+"""What viewers draw and a log does not have: poses in the plane, the allocation as an image."""
+
+from __future__ import annotations
+
+import colorsys
+import math
+import os
+from collections.abc import Iterator
+from functools import cache
+from importlib.resources import files
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message_factory import GetMessageClass
+from mcap.writer import CompressionType, Writer
+from numpy.typing import NDArray
+
+from hiersched.log import LogReader
+
+FRAME = "plane"
+IMAGE_TOPIC = "/allocation/image"
+IMAGE_SLOTS = 100
+"""Width of an image of the allocation [slots]: one pixel a slot and PRB."""
+
+_LIBRARY = "hiersched-viewer/1"
+
+
+def pose_topics(num_robots: int) -> list[tuple[str, str]]:
+    """Topics of each robot's pose and of its reference's."""
+    return [(f"/robots/{i}/pose", f"/robots/{i}/reference") for i in range(num_robots)]
+
+
+def robot_poses(state: NDArray[np.float64], reference: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Poses in the plane from errors in the frame of the reference.
+
+    Parameters
+    ----------
+    state
+        e_x, e_y [m], e_theta [rad] first, shape (..., 5).
+    reference
+        x, y [m], theta [rad] first, shape (..., 5).
+
+    Returns
+    -------
+    ndarray
+        x, y, theta, shape (..., 3).
+    """
+    cos, sin = np.cos(reference[..., 2]), np.sin(reference[..., 2])
+    return np.stack(
+        (
+            reference[..., 0] + cos * state[..., 0] - sin * state[..., 1],
+            reference[..., 1] + sin * state[..., 0] + cos * state[..., 1],
+            reference[..., 2] + state[..., 2],
+        ),
+        axis=-1,
+    )
+
+
+def user_colours(num_urllc: int, num_embb: int) -> NDArray[np.uint8]:
+    """One colour a user, shape (U, 3): URLLC from red to yellow, eMBB from cyan to blue."""
+    hues = [
+        start + width * (i + 0.5) / count
+        for start, width, count in ((0.0, 0.17, num_urllc), (0.5, 0.2, num_embb))
+        for i in range(count)
+    ]
+    value = [0.65 + 0.35 * (i % 2) for i in range(len(hues))]
+    rgb = [colorsys.hsv_to_rgb(hue, 0.85, v) for hue, v in zip(hues, value, strict=True)]
+    return np.round(255 * np.array(rgb)).astype(np.uint8).reshape(-1, 3)
+
+
+@cache
+def _message_class(name: str) -> Any:
+    pool = DescriptorPool()
+    for file in FileDescriptorSet.FromString(_descriptors()).file:
+        pool.Add(file)
+    return GetMessageClass(pool.FindMessageTypeByName(name))
+
+
+@cache
+def _descriptors() -> bytes:
+    return files("hiersched.log").joinpath("foxglove/Viewer.binpb").read_bytes()
+
+
+def write_viewer_topics(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> None:
+    """Write an MCAP file to open beside the log: poses, references, images of the allocation.
+
+    Poses are `foxglove.PoseInFrame`, at the end of each slot and with its log time; images are
+    `foxglove.RawImage`, of the last `IMAGE_SLOTS` slots, time to the right and PRBs downwards.
+
+    Parameters
+    ----------
+    path
+        The log.
+    out
+        The file to be; it appears whole or not at all.
+
+    Raises
+    ------
+    LogError
+        If the log is damaged.
+    """
+    target = Path(out)
+    part = target.with_name(target.name + ".part")
+    with LogReader(path) as log, open(part, "wb") as stream:
+        _write(log, stream)
+    os.replace(part, target)
+
+
+def _write(log: LogReader, stream: IO[bytes]) -> None:
+    writer = Writer(stream, compression=CompressionType.ZSTD, enable_data_crcs=True)
+    writer.start(library=_LIBRARY)
+    schemas = {
+        name: writer.register_schema(name, "protobuf", _descriptors())
+        for name in ("foxglove.PoseInFrame", "foxglove.RawImage")
+    }
+    channels: dict[str, int] = {}
+    for topic, message, slot in _messages(log):
+        if topic not in channels:
+            schema = schemas[message.DESCRIPTOR.full_name]
+            channels[topic] = writer.register_channel(topic, "protobuf", schema)
+        time = slot * log.slot_ns
+        message.timestamp.seconds, message.timestamp.nanos = divmod(time, 1_000_000_000)
+        data = message.SerializeToString(deterministic=True)
+        writer.add_message(channels[topic], time, data, time, slot)
+    writer.finish()  # type: ignore[no-untyped-call]
+
+
+def _messages(log: LogReader) -> Iterator[tuple[str, Any, int]]:
+    """Yield topic, message without its time, and slot."""
+    robots = log.read("/robots", ["state", "reference"])
+    poses = robot_poses(robots["state"], robots["reference"]), robots["reference"][..., :3]
+    for index, slot in enumerate(robots["slot"].tolist()):
+        for robot, topics in enumerate(pose_topics(log.dims.num_urllc)):
+            for topic, pose in zip(topics, poses, strict=True):
+                yield topic, _pose(*pose[index, robot].tolist()), slot
+    owner = log.read("/allocation", ["prb_owner"])
+    colours = user_colours(log.dims.num_urllc, log.dims.num_embb)
+    for start in range(0, len(owner["slot"]), IMAGE_SLOTS):
+        part = owner["prb_owner"][start : start + IMAGE_SLOTS]
+        last = int(owner["slot"][start + len(part) - 1])
+        yield IMAGE_TOPIC, _image(colours[part.T]), last
+
+
+def _pose(x: float, y: float, theta: float) -> Any:
+    message = _message_class("foxglove.PoseInFrame")(frame_id=FRAME)
+    message.pose.position.x, message.pose.position.y = x, y
+    message.pose.orientation.z = math.sin(0.5 * theta)
+    message.pose.orientation.w = math.cos(0.5 * theta)
+    return message
+
+
+def _image(rgb: NDArray[np.uint8]) -> Any:
+    """Make an image of pixels, shape (height, width, 3)."""
+    height, width = rgb.shape[:2]
+    return _message_class("foxglove.RawImage")(
+        frame_id="allocation",
+        width=width,
+        height=height,
+        encoding="rgb8",
+        step=3 * width,
+        data=np.ascontiguousarray(rgb).tobytes(),
+    )
