@@ -2,7 +2,8 @@
 
 A gain whose certificate covers the delays 0..T stays valid while the delay is shorter, so the
 gain may be changed late on the way down but never on the way up. Holding it for N samples makes
-switches rare enough to be covered where no common function exists (`switching_report`).
+switches rare enough to be covered where no common function exists (`switching_report`). This is
+for memoryless gains: a predictor made for T expects T exactly and must follow the delay, N = 0.
 """
 
 from __future__ import annotations
