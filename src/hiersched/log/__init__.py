@@ -6,7 +6,7 @@ Any MCAP reader opens them; `LogReader` reads them into NumPy arrays and checks 
 from hiersched.log.digest import log_digest
 from hiersched.log.errors import LogError
 from hiersched.log.events import Event
-from hiersched.log.foreign import read_foreign
+from hiersched.log.foreign import foreign_records, read_foreign
 from hiersched.log.frame import slot_span, topic_frame
 from hiersched.log.reader import LogReader
 from hiersched.log.recover import Recovery, recover
@@ -25,6 +25,7 @@ __all__ = [
     "slot_span",
     "log_digest",
     "read_foreign",
+    "foreign_records",
     "recover",
     "Recovery",
 ]

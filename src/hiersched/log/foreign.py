@@ -14,9 +14,9 @@ from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.reader import make_reader
-from mcap.records import Channel, Chunk, Footer, Schema
-from mcap.stream_reader import get_chunk_data_stream
+from mcap.reader import NonSeekingReader
+from mcap.records import Channel, Chunk, McapRecord, Schema
+from mcap.stream_reader import StreamReader, get_chunk_data_stream
 
 from hiersched.log.container import FOOTER_BYTES, MAGIC
 from hiersched.log.errors import LogError, reading
@@ -66,7 +66,8 @@ def read_foreign(
     rows: dict[str, list[dict[str, Any]]] = {}
     decoders: dict[int, Decoder] = {}
     with open(path, "rb") as stream, reading(path, 0, "the file"):
-        messages = make_reader(stream, validate_crcs=True).iter_messages(
+        # Not by the summary's indexes: the format lets writers leave any part of them out.
+        messages = NonSeekingReader(stream, validate_crcs=True).iter_messages(
             topics, starting_at=start_ns, ending_before=stop_ns
         )
         for schema, channel, message in messages:
@@ -81,6 +82,29 @@ def read_foreign(
                 }
             )
     return {topic: pd.DataFrame(table) for topic, table in rows.items()}
+
+
+def foreign_records(path: str | os.PathLike[str]) -> list[McapRecord]:
+    """Read all records of any MCAP file, in order, those in chunks in place of the chunks.
+
+    Parameters
+    ----------
+    path
+        The file; it has to be complete.
+
+    Returns
+    -------
+    list of McapRecord
+        Of `mcap.records`.
+
+    Raises
+    ------
+    LogError
+        If the file is no complete MCAP file, or does not match one of its checksums.
+    """
+    check_foreign(path)
+    with open(path, "rb") as stream, reading(path, 0, "the file"):
+        return list(StreamReader(stream, validate_crcs=True).records)
 
 
 def check_foreign(path: str | os.PathLike[str]) -> int:
@@ -112,7 +136,7 @@ def _check(file: RecordFile) -> int:
     if file.size < 2 * len(MAGIC) or file.read(file.size - len(MAGIC), len(MAGIC)) != MAGIC:
         raise LogError(file.path, file.size, "the file is truncated")
     end = file.size - len(MAGIC)
-    offset, data_crc, checked, opcode = len(MAGIC), zlib.crc32(MAGIC), 0, 0
+    offset, data_crc, checked, opcode, data_end = len(MAGIC), zlib.crc32(MAGIC), 0, 0, 0
     while offset < end:
         start = file.read(offset, RECORD_START.size)
         opcode, length = RECORD_START.unpack(start)
@@ -123,8 +147,12 @@ def _check(file: RecordFile) -> int:
         if stored not in (0, actual):
             kind = Opcode(opcode).name
             raise LogError(file.path, offset, f"the {kind} record does not match its checksum")
+        if opcode == Opcode.FOOTER and data_end != (_summary_start(body) or offset):
+            raise LogError(file.path, offset, "the summary does not follow the data section")
         data_crc = zlib.crc32(body, zlib.crc32(start, data_crc))
         offset += RECORD_START.size + length
+        if opcode == Opcode.DATA_END:
+            data_end = offset
     if opcode != Opcode.FOOTER or offset != end:
         raise LogError(file.path, end, "the file does not end with a footer")
     return checked
@@ -143,11 +171,15 @@ def _checksum(
     if opcode == Opcode.DATA_END:
         return int.from_bytes(body[:4], "little"), data_crc
     if opcode == Opcode.FOOTER:
-        footer = Footer.read(ReadDataStream(BytesIO(body)))
-        start = footer.summary_start or offset
+        start = _summary_start(body) or offset
         summary = file.read(start, offset + FOOTER_BYTES - 4 - start)
-        return footer.summary_crc, zlib.crc32(summary)
+        return int.from_bytes(body[16:20], "little"), zlib.crc32(summary)
     return 0, 0
+
+
+def _summary_start(footer: bytes) -> int:
+    """Where a footer says that the summary starts; 0 where there is none."""
+    return int.from_bytes(footer[:8], "little")
 
 
 def _decoder(schema: Schema | None, channel: Channel) -> Decoder:
