@@ -51,11 +51,9 @@ def test_re_solving_along_a_schedule_equals_solving_afresh(make_split_plant):
         np.testing.assert_array_equal(again[0], fresh[0])
 
 
-@pytest.mark.parametrize(("share", "steps"), [(0.5, 5), (1.0, 12)])
-def test_c3_synthesis_of_either_plant_passes_the_check(
-    make_network_plant, make_split_plant, share, steps
-):
-    for plant in (make_network_plant(), make_split_plant(100.0, share)):
+def test_c3_synthesis_of_either_plant_passes_the_check(make_network_plant, make_split_plant):
+    steps = 12  # both nominal loops are unstable there
+    for plant in (make_network_plant(), make_split_plant(100.0, 1.0)):
         gain, witness = synthesise_krasovskii(plant, steps)
         assert certify(*plant.closed_loop(gain), steps, witness).certified
 
