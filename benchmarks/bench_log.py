@@ -2,12 +2,15 @@
 
     python benchmarks/bench_log.py [slots]
 
-Speeds are slots per CPU-second, medians of rounds in which the contenders take turns; the
-ratios mean more than the speeds.
+Two kinds of slots: recorded ones, of the paper scenario under PF, and random ones, in which every
+mantissa is noise, the worst that compression can meet. Speeds are slots per CPU-second, medians of
+rounds in which the contenders take turns; the ratios mean more than the speeds. Last, what share of
+an evaluation's time goes into its logs.
 """
 
 from __future__ import annotations
 
+import itertools
 import statistics
 import sys
 import tempfile
@@ -24,8 +27,14 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.decoder import DecoderFactory
 
+from hiersched.learning.networks import ACTOR_INPUTS
+from hiersched.learning.policy import Policy, rollout
 from hiersched.log import TOPICS, LogDims, LogReader, LogWriter
 from hiersched.log.schema import descriptor_set
+from hiersched.randomness import world_keys
+from hiersched.scenario import Scenario, load_scenario
+from hiersched.simulator import Simulator, SlotRecord
+from hiersched.simulator.gains import LoopGains, plant_of
 
 DIMS = LogDims(num_urllc=10, num_embb=10, num_prb=25)
 SLOT_NS = 10_000_000
@@ -47,6 +56,22 @@ def random_fields(slots: int, dims: LogDims = DIMS, seed: int = 0) -> dict[str, 
             else:
                 fields[field.name] = rng.exponential(size=shape).astype(field.dtype)
     return fields
+
+
+def paper_simulator(worlds: int, slots: int) -> Simulator:
+    """Worlds of the paper scenario, with the nominal gain whatever the delay."""
+    scenario = load_scenario("paper", defaults=Path("config/defaults.yaml"))
+    gain = plant_of(scenario).nominal_gain
+    network = np.repeat(gain[None], scenario.max_delay_steps + 1, axis=0)
+    gains = LoopGains(local_gains=np.zeros_like(network), network_gains=network)
+    return Simulator(scenario, gains, world_keys("bench", 1, worlds), slots)
+
+
+def recorded_fields(slots: int, run_slots: int = 1000) -> dict[str, Any]:
+    """All fields of runs of the paper scenario, one behind the other."""
+    record = paper_simulator(-(-slots // run_slots), run_slots).run("pf")
+    fields = record._asdict()
+    return {name: v.reshape(-1, *v.shape[2:])[:slots] for name, v in fields.items()}
 
 
 def write_ours(path: Path, fields: dict[str, Any], compression: str) -> None:
@@ -116,39 +141,87 @@ def cpu_seconds(work: Callable[[], None]) -> float:
     return time.process_time() - start
 
 
-def run(slots: int = 20_000) -> dict[str, float]:
-    """Print a table and return slots per CPU-second by contender."""
-    fields = random_fields(slots)
+def logging_share(worlds: int = 5, slots: int = 1400) -> dict[str, float]:
+    """CPU time that goes into logs, of simulating and logging an evaluation's worlds."""
+    runs: dict[str, Callable[[Simulator], SlotRecord]] = {
+        "pf": lambda simulator: simulator.run("pf"),
+        "ddpg": lambda simulator: rollout(simulator, some_policy(simulator.scenario)),
+    }
+    shares: dict[str, list[float]] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for _ in range(ROUNDS):
+            for name, work in runs.items():
+                simulator = paper_simulator(worlds, slots)
+                records: list[SlotRecord] = []
+                computing = cpu_seconds(lambda w=work, s=simulator, r=records: r.append(w(s)))
+                logging = cpu_seconds(
+                    lambda r=records: [
+                        write_ours(Path(folder, f"{env}.mcap"), r[0].environment(env), "zstd")
+                        for env in range(worlds)
+                    ]
+                )
+                shares.setdefault(name, []).append(logging / (computing + logging))
+    return {name: statistics.median(values) for name, values in shares.items()}
+
+
+def some_policy(scenario: Scenario) -> Policy:
+    """A policy with small random weights: it takes as long as a trained one."""
+    sizes = (ACTOR_INPUTS, *scenario.learning.hidden, 1)
+    count = sum(a * b + b for a, b in itertools.pairwise(sizes))
+    parameters = np.random.default_rng(0).normal(scale=0.05, size=(2, count)).astype(np.float32)
+    return Policy(
+        parameters=parameters,
+        hidden=scenario.learning.hidden,
+        weight_exponent=scenario.learning.weight_exponent,
+        multipliers=np.zeros(scenario.users.num_urllc),
+        seed=0,
+        scenario_sha256="",
+    )
+
+
+def measure(fields: dict[str, Any], folder: Path) -> dict[str, float]:
+    """Slots per CPU-second, and bytes a slot, by contender."""
+    slots = len(fields["prb_owner"])
     few = slots // 20
     short = {name: array[:few] for name, array in fields.items()}
     speeds: dict[str, list[float]] = {}
-    with tempfile.TemporaryDirectory() as folder:
-        ours, stock = Path(folder, "ours.mcap"), Path(folder, "stock.mcap")
-        for _ in range(ROUNDS):
-            for packing in ("zstd", "none"):
-                contenders: list[tuple[str, int, Callable[[], None]]] = [
-                    ("write", slots, lambda p=packing: write_ours(ours, fields, p)),
-                    ("read", slots, lambda: read_ours(ours)),
-                    ("stock write", few, lambda p=packing: write_stock(stock, short, p)),
-                    ("stock read", few, lambda: read_stock(stock)),
-                ]
-                for name, count, work in contenders:
-                    if "write" in name:  # replacing a file makes ext4 flush the new one
-                        (stock if "stock" in name else ours).unlink(missing_ok=True)
-                    seconds = cpu_seconds(work)
-                    speeds.setdefault(f"{name} {packing}", []).append(count / seconds)
-                size = ours.stat().st_size / slots
-                speeds.setdefault(f"bytes {packing}", []).append(size)
-    result = {name: statistics.median(values) for name, values in speeds.items()}
-    print(f"log, {slots} slots of 20 users, 25 PRBs, 10 robots, profile full")
-    for packing in ("zstd", "none"):
-        for what in ("write", "read"):
-            ours_speed = result[f"{what} {packing}"]
-            ratio = ours_speed / result[f"stock {what} {packing}"]
-            print(
-                f"  {what:5} {packing:4} {ours_speed:10,.0f} slots/s  {ratio:6.1f} x stock  "
-                f"{result[f'bytes {packing}']:6.0f} B/slot"
-            )
+    ours, stock = folder / "ours.mcap", folder / "stock.mcap"
+    for _ in range(ROUNDS):
+        for packing in ("zstd", "none"):
+            contenders: list[tuple[str, int, Callable[[], None]]] = [
+                ("write", slots, lambda p=packing: write_ours(ours, fields, p)),
+                ("read", slots, lambda: read_ours(ours)),
+                ("stock write", few, lambda p=packing: write_stock(stock, short, p)),
+                ("stock read", few, lambda: read_stock(stock)),
+            ]
+            for name, count, work in contenders:
+                if "write" in name:  # replacing a file makes ext4 flush the new one
+                    (stock if "stock" in name else ours).unlink(missing_ok=True)
+                seconds = cpu_seconds(work)
+                speeds.setdefault(f"{name} {packing}", []).append(count / seconds)
+            speeds.setdefault(f"bytes {packing}", []).append(ours.stat().st_size / slots)
+    return {name: statistics.median(values) for name, values in speeds.items()}
+
+
+def run(slots: int = 20_000) -> dict[str, float]:
+    """Print tables and return slots per CPU-second by contender, for recorded slots."""
+    kinds = {"random": random_fields(slots), "recorded": recorded_fields(slots)}
+    result: dict[str, float] = {}
+    for kind, fields in kinds.items():
+        with tempfile.TemporaryDirectory() as folder:
+            result = measure(fields, Path(folder))
+        print(f"log, {slots} {kind} slots of 20 users, 25 PRBs, 10 robots, profile full")
+        for packing in ("zstd", "none"):
+            for what in ("write", "read"):
+                ours_speed = result[f"{what} {packing}"]
+                ratio = ours_speed / result[f"stock {what} {packing}"]
+                print(
+                    f"  {what:5} {packing:4} {ours_speed:10,.0f} slots/s  {ratio:6.1f} x stock  "
+                    f"{result[f'bytes {packing}']:6.0f} B/slot"
+                )
+    for policy, share in logging_share().items():
+        result[f"share {policy}"] = share
+        print(f"  logging takes {100 * share:.0f} % of an evaluation of {policy}")
     return result
 
 

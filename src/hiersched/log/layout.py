@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -110,13 +111,17 @@ def as_raw(values: NDArray[Any]) -> NDArray[Any]:
     ndarray
         A view, shape (T,), of a void type; shape (T, 0) where there are no bytes.
     """
-    flat = values.reshape(len(values), math.prod(values.shape[1:]))
-    nbytes = flat.shape[1] * flat.itemsize
+    nbytes = values.itemsize * math.prod(values.shape[1:])
     if nbytes == 0:
-        return flat
-    if len(flat) == 0:
-        return np.zeros(0, f"V{nbytes}")
-    return flat.view(f"V{nbytes}")[:, 0]
+        return values.reshape(len(values), 0)
+    # Straight from the buffer: reshaping and viewing takes longer than copying a few slots.
+    return np.ndarray(len(values), _void(nbytes), values)
+
+
+@cache
+def _void(nbytes: int) -> np.dtype[Any]:
+    """Type of raw bytes."""
+    return np.dtype(f"V{nbytes}")
 
 
 def raw_columns(rows: NDArray[Any], layout: RecordLayout) -> dict[str, NDArray[Any]]:

@@ -201,7 +201,8 @@ class LogWriter:
                     raise ValueError(f"{name} has shape {values.shape}; allowed: {(count, *shape)}")
                 if values.dtype != dtype:
                     _check_lossless(name, values.dtype, dtype)
-                blocks[name] = as_raw(np.ascontiguousarray(values, dtype))
+                    values = values.astype(dtype)
+                blocks[name] = as_raw(np.ascontiguousarray(values))
         return blocks, count
 
     def event(self, slot: int, level: str, name: str, message: str) -> None:
