@@ -56,7 +56,7 @@ def _replay(parsed: argparse.Namespace) -> int:
 
 def _counterfactual(run: LoggedRun, policy: str, out: str | None) -> int:
     from hiersched.cli import InputError
-    from hiersched.log import log_digest
+    from hiersched.log import LogError, log_digest
     from hiersched.replay.compare import compare_logs
     from hiersched.replay.counterfactual import find_policy, rerun
 
@@ -73,8 +73,15 @@ def _counterfactual(run: LoggedRun, policy: str, out: str | None) -> int:
             print(f"{out}: {decider.name} in the world of {run.path}")
         if log_digest(target) == log_digest(run.path):
             print("every message is the same, bit for bit")
-        else:
-            _show(compare_logs(run.path, target))
+            return 0
+        try:
+            comparison = compare_logs(run.path, target)
+        except LogError as error:
+            raise InputError(
+                f"{run.path}: this hiersched draws another world than the logged one "
+                f"(hiersched replay says where they differ)"
+            ) from error
+    _show(comparison)
     return 0
 
 
