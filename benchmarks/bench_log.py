@@ -70,7 +70,7 @@ def paper_simulator(worlds: int, slots: int) -> Simulator:
 def recorded_fields(slots: int, run_slots: int = 1000) -> dict[str, Any]:
     """All fields of runs of the paper scenario, one behind the other."""
     record = paper_simulator(-(-slots // run_slots), run_slots).run("pf")
-    fields = record._asdict()
+    fields = {name: getattr(record, name) for name in record._fields}
     return {name: v.reshape(-1, *v.shape[2:])[:slots] for name, v in fields.items()}
 
 

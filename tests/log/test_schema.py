@@ -10,6 +10,7 @@ from grpc_tools import protoc
 
 import hiersched.log
 from hiersched.log import TOPICS, LogDims
+from hiersched.log.layout import as_raw
 from hiersched.log.schema import (
     EVENTS_SCHEMA,
     EVENTS_TOPIC,
@@ -70,6 +71,26 @@ def test_topics_table_is_the_record_of_the_simulator() -> None:
         for field in topic.fields[1:]
     }
     assert {name: (values.dtype, values.shape) for name, values in record.items()} == table
+
+
+def test_raw_bytes_are_views_wherever_a_slot_lies_in_one_piece() -> None:
+    rows = np.arange(5 * 64, dtype=np.uint8).reshape(5, 64)
+    whole = np.arange(60.0).reshape(5, 3, 4)
+    views = [
+        whole,
+        whole[:, 1:3],
+        whole[::2],
+        whole[:, 1, 2],
+        rows.view(np.dtype([("a", "<f4", 3), ("b", "<f8", (2, 3)), ("c", "V4")]))[:, 0]["b"],
+    ]
+    copies = [whole[:, :, ::2], np.asfortranarray(whole), whole[:, :, 1], whole[:, ::-1]]
+    for values in views + copies:
+        raw = as_raw(values)
+        assert raw.shape == (len(values),)
+        assert [piece.tobytes() for piece in raw] == [slot.tobytes() for slot in values]
+    assert [np.shares_memory(as_raw(v), v) for v in views] == [True] * len(views)
+    assert as_raw(np.zeros((4, 0))).shape == (4, 0)
+    assert as_raw(np.zeros((0, 3))).shape == (0,)
 
 
 def test_field_names_are_unique_over_all_topics() -> None:

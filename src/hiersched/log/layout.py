@@ -97,25 +97,30 @@ def record_layout(
 
 
 def as_raw(values: NDArray[Any]) -> NDArray[Any]:
-    """View a contiguous array (T, ...) as T pieces of raw bytes.
+    """View an array (T, ...) as T pieces of raw bytes.
 
     Copying those is one memcpy a slot, and no value can change on the way.
 
     Parameters
     ----------
     values
-        Contiguous array, shape (T, ...).
+        Shape (T, ...). It is copied if a slot does not lie in one piece.
 
     Returns
     -------
     ndarray
-        A view, shape (T,), of a void type; shape (T, 0) where there are no bytes.
+        Shape (T,), of a void type; shape (T, 0) where there are no bytes. A view where it can be.
     """
     nbytes = values.itemsize * math.prod(values.shape[1:])
     if nbytes == 0:
         return values.reshape(len(values), 0)
-    # Straight from the buffer: reshaping and viewing takes longer than copying a few slots.
-    return np.ndarray(len(values), _void(nbytes), values)
+    if values.flags.c_contiguous:
+        # Straight from the buffer: reshaping and viewing takes longer than copying a few slots.
+        return np.ndarray(len(values), _void(nbytes), values)
+    flat = values.reshape(len(values), -1)
+    if flat.shape[1] > 1 and flat.strides[1] != flat.itemsize:
+        flat = np.ascontiguousarray(flat)
+    return flat.view(_void(nbytes))[:, 0]
 
 
 @cache

@@ -202,7 +202,7 @@ class LogWriter:
                 if values.dtype != dtype:
                     _check_lossless(name, values.dtype, dtype)
                     values = values.astype(dtype)
-                blocks[name] = as_raw(np.ascontiguousarray(values))
+                blocks[name] = as_raw(values)
         return blocks, count
 
     def event(self, slot: int, level: str, name: str, message: str) -> None:
