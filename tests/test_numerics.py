@@ -10,8 +10,13 @@ import pytest
 from hiersched.compiled import kernel
 from hiersched.numerics import (
     cos_half,
+    exp_f64,
+    fma,
+    from_ordered_f32,
     ln_f32,
     log2_f64,
+    ordered_f32,
+    ordered_f64,
     sin_half,
     sincos_turn_f32,
     wrap_angle,
@@ -110,3 +115,55 @@ def test_turns_keep_their_bound():
 )
 def test_angles_wrap_into_one_turn(angle, wrapped):
     assert wrap_angle(angle) == wrapped
+
+
+@kernel()
+def exp_all(x, out):
+    for i in range(x.shape[0]):
+        out[i] = exp_f64(x[i])
+
+
+def test_exponential_keeps_its_bound():
+    rng = np.random.default_rng(2)
+    near = np.arange(-300, 300) * 0.5 * math.log(2)
+    x = np.concatenate([rng.uniform(-700, 700, 200_000), rng.normal(size=50_000), near, [0.0]])
+    got = np.empty_like(x)
+    exp_all(x, got)
+    exact = np.exp(x.astype(np.longdouble))
+    assert (np.abs(got - exact) <= 2 * np.spacing(got)).all()
+    assert got[-1] == 1.0
+
+
+@kernel()
+def fma_all(a, b, c, out):
+    for i in range(a.shape[0]):
+        out[i] = fma(a[i], b[i], c[i])
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_multiplication_and_addition_are_fused(dtype):
+    """(1 + e)(1 - e) - 1 = -e² with one rounding, 0 with two."""
+    small = np.array([np.sqrt(np.finfo(dtype).eps) / 4], dtype)
+    got = np.empty(1, dtype)
+    fma_all(1 + small, 1 - small, -np.ones(1, dtype), got)
+    e = (1 + small) - 1
+    assert got[0] == -(e[0] ** 2) != 0.0
+
+
+@kernel()
+def orders_all(x, y, single, back, double):
+    for i in range(x.shape[0]):
+        single[i] = ordered_f32(x[i])
+        back[i] = from_ordered_f32(single[i])
+        double[i] = ordered_f64(y[i])
+
+
+def test_integers_are_in_the_order_of_their_floats():
+    rng = np.random.default_rng(3)
+    x = np.sort(rng.normal(size=1000) * 2.0 ** rng.uniform(-60, 60, 1000)).astype(np.float32)
+    y = np.sort(rng.normal(size=1000) * 2.0 ** rng.uniform(-600, 600, 1000))
+    single, back, double = np.empty(1000, np.int32), np.empty_like(x), np.empty(1000, np.int64)
+    orders_all(x, y, single, back, double)
+    assert (np.diff(single) >= 0).all()
+    assert (np.diff(double) > 0).all()
+    np.testing.assert_array_equal(back, x)

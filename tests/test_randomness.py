@@ -17,6 +17,7 @@ from hiersched.randomness import (
     draw_exponentials,
     draw_normals,
     draw_uniforms,
+    normal_scratch,
     philox4x32,
     unit_f32,
     unit_f64,
@@ -57,8 +58,7 @@ def exponentials(key=KEY, slot=3, count=500, scale=1.0):
 
 def normals(key=KEY, slot=3, robots=10):
     out = np.empty((robots, 5), np.float32)
-    scratch = np.zeros((4, (6 * robots + 3) // 4), np.uint32)
-    draw_normals(key, slot, scratch, np.zeros((3, 3 * robots), np.float32), out)
+    draw_normals(key, slot, normal_scratch(robots), out)
     return out
 
 

@@ -8,6 +8,7 @@ whatever they decide, and any slot can be drawn again on its own. The generator 
 from __future__ import annotations
 
 import hashlib
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit, uint32, uint64
@@ -27,6 +28,7 @@ _M1 = np.uint64(0xCD9E8D57)
 _W0 = np.uint32(0x9E3779B9)
 _W1 = np.uint32(0xBB67AE85)
 _S32 = np.uint64(32)
+_VECTOR = 16
 
 
 def world_key(purpose: str, seed: int, index: int = 0) -> int:
@@ -122,35 +124,56 @@ def draw_exponentials(
         out[i] = -ln_f32(unit_f32(flat[i])) * scale
 
 
+class NormalScratch(NamedTuple):
+    """Work arrays of `draw_normals`, padded to whole vectors."""
+
+    words: NDArray[np.uint32]
+    flat: NDArray[np.uint32]
+    normals: NDArray[np.float32]
+
+
+def normal_scratch(num_robots: int) -> NormalScratch:
+    """Work arrays for the normals of `num_robots` robots."""
+    blocks = -(-6 * num_robots // 4)
+    half = -(-3 * num_robots // _VECTOR) * _VECTOR
+    return NormalScratch(
+        words=np.zeros((4, -(-blocks // _VECTOR) * _VECTOR), np.uint32),
+        flat=np.zeros(4 * blocks + half, np.uint32),
+        normals=np.zeros((3, half), np.float32),
+    )
+
+
 @kernel()
 def draw_normals(
-    key: np.uint64,
-    slot: int,
-    words: NDArray[np.uint32],
-    normals: NDArray[np.float32],
-    out: NDArray[np.float32],
+    key: np.uint64, slot: int, scratch: NormalScratch, out: NDArray[np.float32]
 ) -> None:
     """Fill `out` (R, 5) with standard normals of the robot stream (Box-Muller in float32).
 
     Normal j of robot r is element j*R + r of 6 R normals; elements i and 3 R + i come from words i
-    and 3 R + i, word `lane` of block b being number lane*B + b of B = ceil(6 R / 4) blocks. `words`
-    (4, B) and `normals` (3, 3 R) are scratch; the loops over them are short so that each becomes
-    vector instructions.
+    and 3 R + i, word `lane` of block b being number lane*B + b of B = ceil(6 R / 4) blocks. The
+    loops are short, so that each becomes vector instructions, and run over whole vectors: what lies
+    beyond is not used.
     """
     k0 = uint32(key)
     k1 = uint32(key >> _S32)
     num_robots = out.shape[0]
+    words = scratch.words
+    flat = scratch.flat
+    normals = scratch.normals
     for i in range(words.shape[1]):
         a, b, c, d = philox4x32(uint32(i), uint32(0), uint32(slot), STREAM_ROBOT, k0, k1)
         words[0, i] = a
         words[1, i] = b
         words[2, i] = c
         words[3, i] = d
-    flat = words.reshape(-1)
+    blocks = (6 * num_robots + 3) // 4
+    for lane in range(4):
+        for i in range(blocks):
+            flat[lane * blocks + i] = words[lane, i]
     half = 3 * num_robots
-    for i in range(half):
+    for i in range(normals.shape[1]):
         normals[0, i] = np.sqrt(F32(-2.0) * ln_f32(unit_f32(flat[i])))
-    for i in range(half):
+    for i in range(normals.shape[1]):
         sine, cosine = sincos_turn_f32(unit_f32(flat[half + i]))
         normals[1, i] = normals[0, i] * cosine
         normals[2, i] = normals[0, i] * sine

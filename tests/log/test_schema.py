@@ -19,7 +19,7 @@ from hiersched.log.schema import (
     descriptor_set,
     proto_source,
 )
-from hiersched.simulator.records import empty_record
+from hiersched.simulator.records import SlotLayout
 
 FOLDER = Path(hiersched.log.__file__).parent
 NUMPY_TYPES = {
@@ -63,7 +63,7 @@ def test_topics_table_is_the_protobuf_schema() -> None:
 
 def test_topics_table_is_the_record_of_the_simulator() -> None:
     """`write_block` takes what the simulator hands out, without a conversion."""
-    record = empty_record(1, 2, num_users=5, num_robots=3, num_prb=7).environment(0)
+    record = SlotLayout(num_users=5, num_robots=3, num_prb=7).record(1, 2).environment(0)
     dims = LogDims(num_urllc=3, num_embb=2, num_prb=7)
     table = {
         field.name: (np.dtype(field.dtype), (2, *field.concrete_shape(dims)))

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hiersched.network.assignment import allocation_scratch
+from hiersched.network.allocation import allocation_scratch
 from hiersched.network.lyapunov import UserTerms
 from hiersched.network.schedulers import CLASSICAL, SchedulerConstants, schedule_slot
 

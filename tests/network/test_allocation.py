@@ -14,11 +14,11 @@ from hiersched.network.allocation import (
     UTILITY_LAGRANGIAN,
     UTILITY_LINEAR,
     UTILITY_LOG,
-    allocate_by_urgency,
     allocate_by_utility,
-    allocate_in_turn,
+    allocation_scratch,
 )
-from hiersched.network.assignment import allocation_scratch, assign_one_each
+from hiersched.network.assignment import assign_one_each, assignment_scratch
+from hiersched.network.in_order import allocate_by_urgency, allocate_in_turn
 from hiersched.network.lyapunov import user_lagrangian
 from hiersched.network.schedulers import CLASSICAL
 
@@ -32,12 +32,14 @@ def random_rates(seed, num_users, num_prb):
 
 
 def assignment_cost(cost):
-    scratch = allocation_scratch(*cost.shape)
-    scratch.cost[...] = cost
+    num_users, num_prb = cost.shape
+    scratch = assignment_scratch(num_users, num_prb)
+    scratch.cost[:, :num_prb] = cost
+    scratch.nearest[:] = cost.argmin(axis=1)
     assign_one_each(scratch)
     prb_of_user = scratch.prb_of_user
     assert len(set(prb_of_user.tolist())) == len(cost)
-    for k, user in enumerate(scratch.user_of_prb):
+    for k, user in enumerate(scratch.user_of_prb[:num_prb]):
         assert (user == -1 and k not in prb_of_user) or prb_of_user[user] == k
     return cost[np.arange(len(cost)), prb_of_user].sum()
 
@@ -91,6 +93,15 @@ def greedy_twin(value, rate):
         owner[k] = u
         have[u] += float(rate[u, k])
     return owner
+
+
+def test_prbs_that_harm_go_to_users_all_the_same(make_terms):
+    """With a negative V every PRB is a loss; lanes without a user must not look better."""
+    rate = random_rates(4, 5, 9)
+    terms = make_terms(5, penalty_weight=-1.0)
+    owner = allocate(UTILITY_LAGRANGIAN, rate, np.ones(5), terms)
+    expected = greedy_twin(lambda u, r: -user_lagrangian(terms, u, r), rate)
+    np.testing.assert_array_equal(owner, expected)
 
 
 @pytest.mark.parametrize("shape", [(1, 6), (3, 8), (8, 10), (12, 25)])

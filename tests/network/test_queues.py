@@ -1,4 +1,4 @@
-"""One user's queue: a packet-by-packet twin, conservation, closed forms."""
+"""The queues: a packet-by-packet twin, conservation, closed forms."""
 
 from __future__ import annotations
 
@@ -9,27 +9,51 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import stats
 
 from hiersched.compiled import kernel
-from hiersched.network.queues import serve_slot
-from hiersched.network.traffic import poisson_quantiles
+from hiersched.network.queues import (
+    AFTER,
+    ARRIVALS,
+    BACKLOG,
+    DUE,
+    HOL_DELAY,
+    LATE,
+    NUM_QUEUE_LANES,
+    SERVICE,
+    SOJOURN,
+    serve_users,
+    set_deadline,
+)
 
 # Quarters and eighths: exact in doubles, so that the twin's fractions must agree to the bit.
-ARRIVALS = st.integers(0, 6)
+COUNTS = st.integers(0, 6)
 SERVICES = st.integers(0, 40).map(lambda eighths: eighths / 8)
-SLOTS = st.lists(st.tuples(ARRIVALS, SERVICES), min_size=1, max_size=40)
+SLOTS = st.lists(st.tuples(COUNTS, SERVICES), min_size=1, max_size=40)
 DEADLINES = st.integers(1, 24).map(lambda quarters: quarters / 4)
 
 
 def library(slots, deadline_slots):
     """Run the library's queue; one (backlog, sojourn, hol, due, late) a slot."""
-    arrived = np.zeros(len(slots) + 1, np.int64)
-    backlog, head, rows = 0.0, 0, []
-    for slot, (arrivals, service) in enumerate(slots):
-        backlog, head, *rest = serve_slot(
-            slot, backlog, arrivals, service, deadline_slots, arrived, head
-        )
-        rows.append((backlog, *rest))
+    return library_users([slots], [deadline_slots])[0]
+
+
+def library_users(users, deadlines):
+    """The same for users side by side, who all have as many slots."""
+    count, num_slots = len(users), len(users[0])
+    arrived, head = np.zeros((num_slots + 1, count)), np.zeros(count, np.int64)
+    lanes = np.zeros(NUM_QUEUE_LANES)
+    for user, deadline_slots in enumerate(deadlines):
+        set_deadline(lanes, user, deadline_slots)
+    rows = [[] for _ in users]
+    for slot in range(num_slots):
+        for user, slots in enumerate(users):
+            lanes[ARRIVALS + user], lanes[SERVICE + user] = slots[slot]
+        serve_users(slot, count, lanes, arrived, head)
+        lanes[BACKLOG : BACKLOG + count] = lanes[AFTER : AFTER + count]
+        for user in range(count):
+            fields = (AFTER, SOJOURN, HOL_DELAY, DUE, LATE)
+            rows[user].append(tuple(lanes[field + user] for field in fields))
     return rows
 
 
@@ -104,14 +128,23 @@ def test_hand_computed_slots():
     assert rows[2] == (0.0, 2.5, 0.0, 0, 0)
 
 
+@given(st.lists(st.tuples(SLOTS, DEADLINES), min_size=2, max_size=5))
+def test_users_side_by_side_do_not_touch_each_other(users):
+    shortest = min(len(slots) for slots, _ in users)
+    cut = [slots[:shortest] for slots, _ in users]
+    deadlines = [deadline for _, deadline in users]
+    together = library_users(cut, deadlines)
+    assert together == [library(*user) for user in zip(cut, deadlines, strict=True)]
+
+
 @kernel()
-def long_run(batches, batch, service, arrived, backlogs, sojourns):
-    backlog, head = 0.0, 0
-    for slot in range(batches.shape[0]):
-        backlogs[slot] = backlog
-        backlog, head, sojourns[slot], _, _, _ = serve_slot(
-            slot, backlog, batches[slot] * batch, service, 2.0, arrived, head
-        )
+def long_run(arrivals, lanes, arrived, head, backlogs, sojourns):
+    for slot in range(arrivals.shape[0]):
+        backlogs[slot] = lanes[AFTER]
+        lanes[BACKLOG] = lanes[AFTER]
+        lanes[ARRIVALS] = arrivals[slot]
+        serve_users(slot, 1, lanes, arrived, head)
+        sojourns[slot] = lanes[SOJOURN]
 
 
 @pytest.mark.parametrize(("load", "batch"), [(0.5, 1), (0.8, 1), (0.8, 4)])
@@ -126,9 +159,11 @@ def test_unit_service_has_its_closed_mean(load, batch):
     slots = 400_000
     backlogs, sojourns = np.empty(slots), np.empty(slots)
     uniform = np.random.default_rng(5).uniform(size=slots)
-    batches = np.empty(slots, np.int64)
-    poisson_quantiles(uniform, np.full(slots, load / batch), np.empty((2, slots)), batches)
-    long_run(batches, batch, 1.0, np.zeros(slots + 1, np.int64), backlogs, sojourns)
+    arrivals = batch * stats.poisson.ppf(uniform, load / batch)
+    lanes = np.zeros(NUM_QUEUE_LANES)
+    lanes[SERVICE] = 1.0
+    set_deadline(lanes, 0, 2.0)
+    long_run(arrivals, lanes, np.zeros((slots + 1, 1)), np.zeros(1, np.int64), backlogs, sojourns)
     expected = (load**2 + (batch - 1) * load) / (2 * (1 - load))
     means = backlogs.reshape(40, -1).mean(axis=1)
     error = means.std(ddof=1) / np.sqrt(40)

@@ -4,12 +4,29 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hiersched.network.traffic import MAX_MEAN, poisson_quantiles
+from hiersched.network.queues import LANES
+from hiersched.network.traffic import (
+    MAX_MEAN,
+    MEAN,
+    NUM_ARRIVAL_LANES,
+    QUANTILE,
+    UNIFORM,
+    poisson_quantiles,
+)
 
 
 def quantiles_of(uniform, mean):
-    out = np.empty(len(uniform), np.int64)
-    poisson_quantiles(uniform, mean, np.empty((2, len(uniform))), out)
+    out = np.empty(len(uniform))
+    for begin in range(0, len(uniform), LANES):
+        lanes = np.full(NUM_ARRIVAL_LANES, np.nan)
+        lanes[UNIFORM : UNIFORM + LANES] = lanes[MEAN : MEAN + LANES] = 0.0
+        block = slice(begin, min(begin + LANES, len(uniform)))
+        count = block.stop - begin
+        lanes[UNIFORM : UNIFORM + count] = uniform[block]
+        lanes[MEAN : MEAN + count] = mean[block]
+        poisson_quantiles(lanes)
+        out[block] = lanes[QUANTILE : QUANTILE + count]
+        assert (lanes[QUANTILE + count : QUANTILE + LANES] == 0.0).all()
     return out
 
 

@@ -9,7 +9,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hiersched.robot.dynamics import RobotConstants, close_loop, move_step, robot_state
+from hiersched.robot.dynamics import (
+    CONTROL,
+    LANES,
+    NORMALS,
+    NUM_PATH,
+    SLIP,
+    SLOT_SQUARE,
+    STATE,
+    WINDOW_SUMS,
+    RobotConstants,
+    close_loop,
+    gather_path,
+    move_lanes,
+    path_scratch,
+    robot_state,
+)
 from hiersched.robot.plant import discretise, unicycle_error_model
 from hiersched.robot.reference import PathShape, reference_table
 
@@ -36,16 +51,34 @@ def constants(reference="straight", *, step_s=0.0025, speed_mps=1.0, noise=0.0, 
         max_delay_steps=max_delay, local_gain=zeros if local is None else local,
         network_gain=zeros if network is None else network,
         adjusted_delay_steps=np.zeros(max_delay + 1, np.uint32), speed_mps=speed_mps,
-        turn_rate=table.turn_rate_radps, half_cos=np.cos(half), half_sin=np.sin(half),
-        chord=speed_mps * step_s * np.sinc(half / math.pi), pose=table.pose, offset=offset,
+        path=np.stack([table.turn_rate_radps, np.cos(half), np.sin(half),
+                       speed_mps * step_s * np.sinc(half / math.pi)], axis=1),
+        pose=table.pose, offset=offset,
     )  # fmt: skip
 
 
-def move(robot, state, control, slip=(0.0, 0.0), steps=1, place=0):
-    state = np.array(state, float)
-    for step in range(steps):
-        move_step(robot, place + step, np.array(slip), np.array(control), state, np.zeros(3))
-    return state
+def put(lanes, field, values, lane):
+    lanes[field + lane : field + lane + len(values) * LANES : LANES] = values
+
+
+def take(lanes, field, count, lane):
+    return lanes[field + lane : field + lane + count * LANES : LANES].copy()
+
+
+def move(robot, state, control, slip=(0.0, 0.0), steps=1, place=0, lane=3):
+    """Move one robot in one lane; the others stand still in theirs."""
+    return take(move_in_lane(robot, state, control, slip, steps, place, lane), STATE, 5, lane)
+
+
+def move_in_lane(robot, state, control, slip, steps, place, lane):
+    lanes = robot_state(1, LANES, 3, 0.7).lanes[0, 0]
+    for field, values in ((STATE, state), (CONTROL, control), (SLIP, slip)):
+        put(lanes, field, values, lane)
+    path = path_scratch(steps)
+    gather_path(robot.path, place, steps, lane, path)
+    for step in path.reshape(steps, NUM_PATH * LANES):
+        move_lanes(robot.step_s, robot.speed_mps, robot.lag_mean, robot.lag_decay, step, lanes)
+    return lanes
 
 
 @pytest.mark.parametrize("speed_mps", [1.0, 0.6])
@@ -69,7 +102,7 @@ def test_without_slip_a_robot_stays_on_its_reference(reference):
     """Open loop for 10 s: the midpoint rule drifts by v T (ω Δt)² / 24, 0.04 mm on the zig-zag."""
     robot = constants(reference)
     end = move(robot, np.zeros(5), (0.0, 0.0), steps=4000)
-    drift_m = 10.0 * (np.abs(robot.turn_rate).max() * robot.step_s) ** 2 / 24
+    drift_m = 10.0 * (np.abs(robot.path[:, 0]).max() * robot.step_s) ** 2 / 24
     assert np.hypot(*end[:2]) <= drift_m + 1e-12
     np.testing.assert_array_equal(end[2:], 0.0)
 
@@ -94,7 +127,7 @@ def test_motion_is_that_of_the_unicycle_in_the_world(reference):
     z = np.array(
         [*(pose[0, :2] + frame(pose[0, 2]).T @ start[:2]), pose[0, 2] + start[2], *start[3:]]
     )
-    for turn in robot.turn_rate[:steps]:  # Runge and Kutta's fourth order: exact beside the other
+    for turn in robot.path[:steps, 0]:  # Runge and Kutta's fourth order: exact beside the other
         h = robot.step_s
         k1 = rate(z, turn)
         k2 = rate(z + 0.5 * h * k1, turn)
@@ -117,14 +150,15 @@ def test_halving_the_step_quarters_the_error():
 
 def test_window_sums_by_hand():
     """Slip alone, straight: v = 1.5, ω = 0.3, so |ω| / |v| = 0.2; at v = 0.01 it is 0.3 / 0.05."""
-    robot, sums, state = constants(), np.zeros(3), np.zeros(5)
-    square = move_step(robot, 0, np.array([0.5, 0.3]), np.zeros(2), state, sums)
-    assert square == state[0] ** 2 + state[1] ** 2 == sums[0]
+    robot = constants()
+    lanes = move_in_lane(robot, np.zeros(5), np.zeros(2), (0.5, 0.3), 1, 0, 5)
+    state, sums = take(lanes, STATE, 5, 5), take(lanes, WINDOW_SUMS, 3, 5)
+    assert take(lanes, SLOT_SQUARE, 1, 5) == state[0] ** 2 + state[1] ** 2 == sums[0]
     assert state[0] == pytest.approx(0.5 * 0.0025, abs=1e-8)
     assert sums[1] == pytest.approx(0.3 * 0.0025)
     assert sums[2] == pytest.approx(0.2)
-    move_step(robot, 0, np.array([-0.99, 0.3]), np.zeros(2), np.zeros(5), sums)
-    assert sums[2] == pytest.approx(0.2 + 0.3 / 0.05)
+    lanes = move_in_lane(robot, np.zeros(5), np.zeros(2), (-0.99, 0.3), 2, 0, 5)
+    assert take(lanes, WINDOW_SUMS, 3, 5)[2] == pytest.approx(2 * 0.3 / 0.05)
 
 
 def random_gains(seed, max_delay=3, size=1.0):
@@ -141,14 +175,15 @@ def test_command_is_the_delayed_feedback_with_the_gain_of_its_delay(delays, seed
     measured = {k: np.zeros(5) for k in range(-3, 0)}
     for k, delay in enumerate(delays):
         x, normals = rng.normal(size=5), rng.normal(size=5).astype(np.float32)
-        saturated = close_loop(
-            robot, k, delay, normals, x, states.history[0, 0], states.control[0, 0]
-        )
+        put(states.lanes[0, 0], STATE, x, 0)
+        put(states.lanes[0, 0], NORMALS, normals, 0)
+        saturated = close_loop(robot, k, delay, 0, states.lanes[0, 0], states.history[0, 0])
+        control = states.field(CONTROL, 2)[0, 0]
         noise = np.array([0.01, 0.01, 0.02, 0.0, 0.0]) * [*normals[2:].astype(float), 0.0, 0.0]
         measured[k] = x + noise
         expected = -local[delay] @ measured[k] - network[delay] @ measured[k - delay]
         assert np.abs(expected).max() < 2.0
-        np.testing.assert_allclose(states.control[0, 0], expected, atol=1e-12)
+        np.testing.assert_allclose(control, expected, atol=1e-12)
         assert saturated == 0
 
 
@@ -157,13 +192,12 @@ def test_commands_stop_at_their_limits_and_say_so():
     network[0, 0, 0] = network[0, 1, 1] = 1.0
     robot = constants(network=network, limit=(0.5, 3.0))
     states = robot_state(1, 1, 3, 0.7)
-    normals = np.zeros(5, np.float32)
     for x, control, saturated in [
         ([0.4, -2.0], [-0.4, 2.0], 0),
         ([0.6, 0.0], [-0.5, 0.0], 1),
         ([-0.6, 4.0], [0.5, -3.0], 1),
         ([0.5, 3.0], [-0.5, -3.0], 0),
     ]:
-        state = np.array([*x, 0.0, 0.0, 0.0])
-        got = close_loop(robot, 0, 0, normals, state, states.history[0, 0], states.control[0, 0])
-        assert (states.control[0, 0].tolist(), got) == (control, saturated)
+        put(states.lanes[0, 0], STATE, x, 0)
+        got = close_loop(robot, 0, 0, 0, states.lanes[0, 0], states.history[0, 0])
+        assert (states.field(CONTROL, 2)[0, 0].tolist(), got) == (control, saturated)

@@ -77,3 +77,18 @@ def test_arrivals_beyond_the_quantile(make_simulator):
 def test_forced_delays(make_simulator, delays, message):
     with pytest.raises(ValueError, match=message):
         make_simulator().run_robots(delays)
+
+
+def test_owners_must_be_an_allocation(make_simulator):
+    simulator = make_simulator()
+    good = make_simulator().run("pf").prb_owner
+    for bad, message in (
+        (good[:, :, :-1], "shape"),
+        (np.zeros_like(good), "every user"),
+        (np.where(good == 0, simulator.scenario.num_users, good), "every user"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            simulator.run_owners(bad)
+    beyond = np.repeat(good, 2, axis=1)
+    with pytest.raises(ValueError, match="num_slots"):
+        simulator.run_owners(beyond)

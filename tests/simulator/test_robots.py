@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hiersched.robot.dynamics import SLIP, STATE
 from hiersched.simulator.gains import LoopGains, plant_of
 
 STILL = {
@@ -103,7 +104,7 @@ def growth(make_simulator, delay_steps, num_slots=800):
     """Factor a sample of the error of a disturbed robot, and the lifted linear system's radius."""
     robot = {**STILL, **FREE, "reference": "straight"}
     simulator = make_simulator(1, num_slots, robot=robot, control={"weight": 700.0})
-    simulator.state.robots.state[...] = 1e-9 * np.array([1.0, 1.0, 1.0, 0.0, 0.0])
+    simulator.state.robots.set_state(1e-9 * np.array([1.0, 1.0, 1.0, 0.0, 0.0]))
     record = simulator.run_robots(forced(delay_steps * 0.02, 1, num_slots))
     size = np.abs(record.state[0, :, 0]).max(axis=-1)
     factor = (size[-100:].max() / size[200:300].max()) ** (2 / (num_slots - 300))
@@ -128,8 +129,8 @@ def test_nominal_loop_is_stable_at_three_samples_and_unstable_at_four(make_simul
 def test_index_of_a_window_is_that_of_its_steps(make_simulator):
     """Slots of one step, so that the record has every step; one window of 400."""
     simulator = make_simulator(1, 401, robot=STILL, radio={"slot_s": 0.0025})
-    simulator.state.robots.state[...] = [0.03, -0.05, 0.2, 0.0, 0.1]
-    start = simulator.state.robots.state[0].copy()
+    simulator.state.robots.set_state(np.array([0.03, -0.05, 0.2, 0.0, 0.1]))
+    start = simulator.state.robots.field(STATE, 5)[0]
     record = simulator.run_robots(forced(0.02, 1, 401))
     robots = simulator.constants.robots
     first = simulator.scenario.robot.initial_dexterity_index
@@ -155,7 +156,7 @@ def test_slip_and_noise_have_their_spread(make_simulator):
     slips = []
     for _ in range(400):
         simulator.run_robots(forced(0.02, 50, 1))
-        slips.append(simulator.state.robots.slip.copy())
+        slips.append(simulator.state.robots.field(SLIP, 2))
     slip = np.array(slips)[150:]  # (T, E, R, 2)
     np.testing.assert_allclose(slip.std(axis=(0, 1, 2)), [0.05, 0.2], rtol=0.05)
     for lag in (1, 30):
@@ -169,3 +170,19 @@ def test_robots_alone_are_those_of_the_network(make_simulator):
     alone = make_simulator().run_robots(whole.network_delay_s)
     for name in ("state", "control", "delay_steps", "tracking_error_m", "reference"):
         np.testing.assert_array_equal(getattr(alone, name), getattr(whole, name))
+
+
+def test_robots_of_all_blocks_move_alike(make_simulator):
+    """Eighteen robots fill one block of lanes and begin another; on a line they are alike."""
+    many = {
+        "users": {"num_urllc": 18},
+        "radio": {"num_prb": 24},
+        "traffic": {"urllc_offered_mbps": 15.0},
+    }
+    simulator = make_simulator(1, 150, robot={**STILL, "reference": "straight"}, **many)
+    simulator.state.robots.set_state(np.array([0.03, -0.05, 0.2, 0.0, 0.1]))
+    record = simulator.run_robots(forced(0.05, 1, 150, robots=18))
+    for name in ("state", "control", "tracking_error_m", "dexterity_index", "gain_delay_steps"):
+        values = getattr(record, name)
+        np.testing.assert_array_equal(values, np.broadcast_to(values[:, :, :1], values.shape))
+    assert record.dexterity_index[0, 100, 17] != record.dexterity_index[0, 0, 17]

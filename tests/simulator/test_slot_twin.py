@@ -72,6 +72,25 @@ def twin(scenario, record, t):
     }
 
 
+def assert_twin(simulator, record):
+    """Every slot of the record against the twin's."""
+    num_slots = record.prb_owner.shape[1]
+    for t in range(num_slots):
+        expected = twin(simulator.scenario, record, t)
+        after = expected["exact"].pop("after")
+        last = t == num_slots - 1
+        state = simulator.state
+        following = state.backlog_packets if last else record.backlog_packets[:, t + 1]
+        np.testing.assert_array_equal(following, after)
+        for name, value in expected["exact"].items():
+            np.testing.assert_array_equal(getattr(record, name)[:, t], value, err_msg=name)
+        for name, value in expected["close"].items():
+            got = getattr(record, name)[:, t]
+            np.testing.assert_allclose(got, value, rtol=1e-12, atol=1e-12, err_msg=name)
+        average = state.average_rate_mbps if last else record.average_rate_mbps[:, t + 1]
+        np.testing.assert_allclose(average, expected["average"], rtol=1e-14)
+
+
 @pytest.mark.parametrize(
     ("policy", "sections"),
     [
@@ -89,19 +108,20 @@ def test_slots_are_the_twins(make_simulator, policy, sections):
     record = simulator.run(policy, multipliers=multipliers)
     assert record.late_packets.any() or policy != "pf"
     assert record.arrival_clamped.any() or policy != "max_rate"
-    for t in range(120):
-        expected = twin(simulator.scenario, record, t)
-        after = expected["exact"].pop("after")
-        following = record.backlog_packets[:, t + 1] if t < 119 else simulator.state.backlog_packets
-        np.testing.assert_array_equal(following, after)
-        for name, value in expected["exact"].items():
-            np.testing.assert_array_equal(getattr(record, name)[:, t], value, err_msg=name)
-        for name, value in expected["close"].items():
-            got = getattr(record, name)[:, t]
-            np.testing.assert_allclose(got, value, rtol=1e-12, atol=1e-12, err_msg=name)
-        state = simulator.state.average_rate_mbps
-        average = record.average_rate_mbps[:, t + 1] if t < 119 else state
-        np.testing.assert_allclose(average, expected["average"], rtol=1e-14)
+    assert_twin(simulator, record)
+
+
+def test_every_slot_is_that_of_the_twin_beyond_one_block_of_users(make_simulator):
+    """36 users fill one block of lanes and begin another."""
+    many = {
+        "users": {"num_urllc": 20, "num_embb": 16},
+        "radio": {"num_prb": 40},
+        "traffic": {"urllc_offered_mbps": tuple(10.0 + 0.5 * i for i in range(20))},
+    }
+    simulator = make_simulator(1, 60, **many)
+    record = simulator.run("pf", multipliers=np.linspace(0, 3, 20)[None])
+    assert record.late_packets.any()
+    assert_twin(simulator, record)
 
 
 def test_average_rate_starts_at_one_prbs_rate(make_simulator):

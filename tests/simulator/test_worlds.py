@@ -117,3 +117,20 @@ def test_equal_weights_are_pf(make_simulator, assert_same_bits):
     assert_same_bits(make_simulator().run("pf", weights=np.ones((2, 8))), pf)
     same = make_simulator().run("pf", weights=np.full((2, 8), 2.0))
     assert_same_bits(same, pf, set(pf._fields) - {"weight"})
+
+
+@pytest.mark.parametrize("policy", ["edf", "pf"])
+def test_given_owners_are_the_policy_that_chose_them(make_simulator, assert_same_bits, policy):
+    original = make_simulator().run(policy)
+    assert_same_bits(make_simulator().run_owners(original.prb_owner), original)
+
+
+def test_robots_alone_leave_nothing_of_the_network(make_simulator):
+    """Also where the same simulator has run the network before."""
+    simulator = make_simulator(num_slots=60)
+    simulator.run("pf", 30)
+    delay_s = np.full((simulator.num_envs, 30, simulator.scenario.users.num_urllc), 0.015)
+    record = simulator.run_robots(delay_s)
+    assert not record.rate_mbps.any()
+    assert not record.prb_owner.any()
+    assert record.tracking_error_m.any()

@@ -188,5 +188,4 @@ def rollout(
 
 def copy_slot(one: SlotRecord, whole: SlotRecord, slot: int) -> None:
     """Copy the only slot of `one` into slot `slot` of `whole`."""
-    for name in SlotRecord._fields:
-        getattr(whole, name)[:, slot] = getattr(one, name)[:, 0]
+    whole.rows[:, slot] = one.rows[:, 0]

@@ -6,38 +6,115 @@ the K - U others are given out one by one where the utility rises most.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from hiersched.compiled import kernel
-from hiersched.network.assignment import AllocationScratch, assign_one_each
+from hiersched.network.assignment import (
+    FAR,
+    LARGEST_KEY,
+    AssignmentScratch,
+    assign_one_each,
+    assignment_scratch,
+    index_of,
+    least_key,
+)
 from hiersched.network.lyapunov import UserTerms, user_lagrangian
-from hiersched.numerics import F32, ln_f32
+from hiersched.numerics import F32, from_ordered_f32, ln_f32, ordered_f32, ordered_f64
 
 UTILITY_LOG = 0
 UTILITY_LINEAR = 1
 UTILITY_LAGRANGIAN = 2
 
-_NO_NAN = {"nnan", "nsz"}
-"""Lets the compiler vectorise minima and maxima; without NaN the bits do not change."""
+_USER_LANES = 8
 
 
-@kernel(fastmath=_NO_NAN)
+class AllocationScratch(NamedTuple):
+    """Work arrays of one allocation; users are padded to U' lanes, free PRBs are at most K - U."""
+
+    assignment: AssignmentScratch
+    worth: NDArray[np.float32]  # (U K + K',)
+    user_rate: NDArray[np.float64]  # (U,)
+    share: NDArray[np.float32]  # (U',)
+    free_prb: NDArray[np.int64]  # (K,)
+    order: NDArray[np.int64]  # (U,)
+    gain: NDArray[np.float64]  # (K, U')
+    ratio: NDArray[np.float32]  # (K, U')
+    best: NDArray[np.int64]  # (K,)
+
+
+def allocation_scratch(num_users: int, num_prb: int) -> AllocationScratch:
+    """Work arrays for `num_users` users and `num_prb` PRBs.
+
+    Raises
+    ------
+    ValueError
+        If there are more users than PRBs, or more PRBs than the assignment can take.
+    """
+    assignment = assignment_scratch(num_users, num_prb)
+    lanes = -(-num_users // _USER_LANES) * _USER_LANES
+    return AllocationScratch(
+        assignment=assignment,
+        worth=np.zeros(num_users * num_prb + assignment.cost.shape[1], np.float32),
+        user_rate=np.zeros(num_users),
+        share=np.zeros(lanes, np.float32),
+        free_prb=np.zeros(num_prb, np.int64),
+        order=np.zeros(num_users, np.int64),
+        gain=np.zeros((num_prb, lanes)),
+        ratio=np.ones((num_prb, lanes), np.float32),
+        best=np.zeros(num_prb, np.int64),
+    )
+
+
+@kernel()
 def _largest(values: NDArray[np.float32]) -> float:
-    largest = values[0]
+    """Maximum, by way of integers: the compiler vectorises no maximum of floats."""
+    largest = np.int32(-0x80000000)
     for i in range(values.shape[0]):
-        largest = max(largest, values[i])
-    return float(largest)
+        largest = max(largest, ordered_f32(values[i]))
+    return float(from_ordered_f32(largest))
 
 
-@kernel(fastmath=_NO_NAN)
-def _make_non_negative(cost: NDArray[np.float64]) -> None:
-    least = cost[0]
-    for i in range(cost.shape[0]):
-        least = min(least, cost[i])
-    for i in range(cost.shape[0]):
-        cost[i] -= least
+@kernel(forceinline=True)
+def _row_costs(
+    worth: NDArray[np.float32],
+    first: int,
+    num_prb: int,
+    weight: float,
+    largest: float,
+    cost: NDArray[np.float64],
+) -> int:
+    """Costs w (largest - worth) of one user, in place; returns the cheapest PRB."""
+    key = LARGEST_KEY
+    row = worth[first : first + cost.shape[0]]
+    for k in range(cost.shape[0]):
+        value = weight * (largest - float(row[k])) if k < num_prb else FAR
+        cost[k] = value
+        key = least_key(key, value, k)
+    return index_of(key)
+
+
+@kernel()
+def _lagrangian_costs(
+    rate: NDArray[np.float32], terms: UserTerms, scratch: AssignmentScratch
+) -> None:
+    """Costs of drift plus penalty, brought to 0 and above."""
+    cost = scratch.cost
+    num_users, num_prb = rate.shape
+    least = FAR
+    for user in range(num_users):
+        for k in range(num_prb):
+            cost[user, k] = user_lagrangian(terms, user, np.float64(rate[user, k]))
+            least = min(least, cost[user, k])
+    for user in range(num_users):
+        key = LARGEST_KEY
+        for k in range(num_prb):
+            cost[user, k] -= least
+            key = least_key(key, cost[user, k], k)
+        scratch.nearest[user] = index_of(key)
 
 
 @kernel(forceinline=True)
@@ -46,31 +123,33 @@ def _first_costs(
     rate: NDArray[np.float32],
     weight: NDArray[np.float64],
     terms: UserTerms,
-    log_rate: NDArray[np.float32],
-    cost: NDArray[np.float64],
+    scratch: AllocationScratch,
 ) -> None:
     """Cost of each PRB as a user's only one: the utility lost against the greatest of all."""
-    num_users, num_prb = rate.shape
+    assignment = scratch.assignment
     if utility == UTILITY_LAGRANGIAN:
-        for user in range(num_users):
-            for k in range(num_prb):
-                cost[user, k] = user_lagrangian(terms, user, np.float64(rate[user, k]))
-        _make_non_negative(cost.reshape(-1))
+        _lagrangian_costs(rate, terms, assignment)
         return
-    worth = rate
+    num_users, num_prb = rate.shape
+    flat = rate.reshape(-1)
+    worth = scratch.worth[: flat.shape[0]]
     if utility == UTILITY_LOG:
         # One flat loop: rows are too short for full vectors.
-        worth = log_rate
-        flat = rate.reshape(-1)
-        flat_log = log_rate.reshape(-1)
         for i in range(flat.shape[0]):
-            flat_log[i] = ln_f32(flat[i])
-    largest = _largest(worth.reshape(-1))
+            worth[i] = ln_f32(flat[i])
+    else:
+        for i in range(flat.shape[0]):
+            worth[i] = flat[i]
+    largest = _largest(worth)
     for user in range(num_users):
-        w = weight[user]
-        row = worth[user]
-        for k in range(num_prb):
-            cost[user, k] = w * (largest - np.float64(row[k]))
+        assignment.nearest[user] = _row_costs(
+            scratch.worth, user * num_prb, num_prb, weight[user], largest, assignment.cost[user]
+        )
+
+
+@njit(inline="always")
+def _log_gain(rate: np.float32, have: float, weight: float) -> float:
+    return weight * np.float64(ln_f32(F32(1.0) + rate * (F32(1.0) / F32(have))))
 
 
 @njit(inline="always")
@@ -84,23 +163,129 @@ def _marginal(
 ) -> float:
     """Gain in a user's utility by one more PRB of the given rate."""
     if utility == UTILITY_LOG:
-        return weight * np.float64(ln_f32(F32(1.0) + rate * (F32(1.0) / F32(have))))
+        return _log_gain(rate, have, weight)
     if utility == UTILITY_LINEAR:
         return weight * np.float64(rate)
     after = user_lagrangian(terms, user, have + np.float64(rate))
     return user_lagrangian(terms, user, have) - after
 
 
-@kernel(fastmath=_NO_NAN)
-def _greatest(gain: NDArray[np.float64], count: int) -> int:
-    """Place of the greatest of gain[:count]; the first of equal ones."""
-    best = gain[0]
+@kernel(forceinline=True)
+def _greatest(gain: NDArray[np.float64]) -> int:
+    """Place of the greatest; the first of equal ones. By way of integers, as in `_largest`."""
+    count = gain.shape[0]
+    best = ordered_f64(gain[0])
     for i in range(count):
-        best = max(best, gain[i])
+        best = max(best, ordered_f64(gain[i]))
     place = count
     for i in range(count):
-        place = min(place, i if gain[i] == best else count)
-    return place
+        place = min(place, i if ordered_f64(gain[i]) == best else count)
+    return int(place)
+
+
+@kernel(forceinline=True)
+def _first_gains(
+    utility: int,
+    rate: NDArray[np.float32],
+    weight: NDArray[np.float64],
+    terms: UserTerms,
+    scratch: AllocationScratch,
+    num_free: int,
+) -> None:
+    """Gain of every user by every free PRB, and the user to whom each is worth most."""
+    num_users = rate.shape[0]
+    have = scratch.user_rate
+    gain = scratch.gain
+    ratio = scratch.ratio
+    share = scratch.share
+    lanes = share.shape[0]
+    if utility == UTILITY_LOG:
+        for user in range(num_users):
+            share[user] = F32(1.0) / F32(have[user])
+        flat = ratio.reshape(-1)[: num_free * lanes]
+        for i in range(num_free):
+            k = scratch.free_prb[i]
+            for user in range(num_users):
+                flat[i * lanes + user] = F32(1.0) + rate[user, k] * share[user]
+        flat_gain = gain.reshape(-1)
+        for place in range(flat.shape[0]):
+            flat_gain[place] = np.float64(ln_f32(flat[place]))
+        for i in range(num_free):
+            for user in range(num_users):
+                gain[i, user] *= weight[user]
+    else:
+        for i in range(num_free):
+            k = scratch.free_prb[i]
+            for user in range(num_users):
+                gain[i, user] = _marginal(
+                    utility, user, rate[user, k], have[user], weight[user], terms
+                )
+    for i in range(num_free):
+        for lane in range(num_users, lanes):
+            gain[i, lane] = -FAR
+        scratch.best[i] = _greatest(gain[i])
+
+
+@kernel(forceinline=True)
+def _give_out(
+    utility: int,
+    rate: NDArray[np.float32],
+    weight: NDArray[np.float64],
+    terms: UserTerms,
+    scratch: AllocationScratch,
+    num_free: int,
+    owner: NDArray[np.uint32],
+) -> None:
+    """Give out the free PRBs one by one where the utility rises most."""
+    have = scratch.user_rate
+    gain = scratch.gain
+    best = scratch.best
+    free_prb = scratch.free_prb
+    for left in range(num_free - 1, -1, -1):
+        place = 0
+        for i in range(1, left + 1):
+            if gain[i, best[i]] > gain[place, best[place]]:
+                place = i
+        user = best[place]
+        k = free_prb[place]
+        owner[k] = user
+        have[user] += np.float64(rate[user, k])
+        # The last free PRB takes the place of the one just given.
+        free_prb[place] = free_prb[left]
+        best[place] = best[left]
+        if place != left:
+            for other in range(gain.shape[1]):
+                gain[place, other] = gain[left, other]
+        for i in range(left):
+            if utility == UTILITY_LAGRANGIAN:
+                gain[i, user] = _marginal(
+                    utility, user, rate[user, free_prb[i]], have[user], weight[user], terms
+                )
+                best[i] = _greatest(gain[i])
+            elif utility == UTILITY_LOG and best[i] == user:
+                best[i] = _still_greatest(gain[i], user, free_prb[i], rate, have, weight)
+
+
+@kernel(forceinline=True)
+def _still_greatest(
+    gain: NDArray[np.float64],
+    user: int,
+    prb: int,
+    rate: NDArray[np.float32],
+    have: NDArray[np.float64],
+    weight: NDArray[np.float64],
+) -> int:
+    """User to whom a PRB is worth most, when gains may have fallen since they were computed.
+
+    Only gains that come out on top are computed anew: the others are upper bounds, since the
+    logarithm is concave.
+    """
+    while True:
+        now = _log_gain(rate[user, prb], have[user], weight[user])
+        if now == gain[user]:
+            return user
+        gain[user] = now
+        user = _greatest(gain)
 
 
 @kernel(forceinline=True)
@@ -131,130 +316,16 @@ def allocate_by_utility(
         Result: user of each PRB, shape (K,).
     """
     num_users, num_prb = rate.shape
-    _first_costs(utility, rate, weight, terms, scratch.log_rate, scratch.cost)
-    assign_one_each(scratch)
-    have = scratch.user_rate
+    _first_costs(utility, rate, weight, terms, scratch)
+    assignment = scratch.assignment
+    assign_one_each(assignment)
     for user in range(num_users):
-        have[user] = rate[user, scratch.prb_of_user[user]]
+        scratch.user_rate[user] = rate[user, assignment.prb_of_user[user]]
     num_free = 0
     for k in range(num_prb):
-        if scratch.user_of_prb[k] >= 0:
-            owner[k] = scratch.user_of_prb[k]
-        else:
-            scratch.free_prb[num_free] = k
-            num_free += 1
-    gain = scratch.gain
-    free_prb = scratch.free_prb
-    if utility == UTILITY_LOG:
-        ratio = scratch.ratio
-        share = scratch.share
-        for user in range(num_users):
-            share[user] = F32(1.0) / F32(have[user])
-        for i in range(num_free):
-            k = free_prb[i]
-            for user in range(num_users):
-                ratio[i * num_users + user] = rate[user, k]
-        for i in range(num_free):
-            row = ratio[i * num_users : (i + 1) * num_users]
-            for user in range(num_users):
-                row[user] = F32(1.0) + row[user] * share[user]
-        for i in range(num_free * num_users):
-            gain[i] = np.float64(ln_f32(ratio[i]))
-        for i in range(num_free):
-            for user in range(num_users):
-                gain[i * num_users + user] *= weight[user]
-    else:
-        for i in range(num_free):
-            k = free_prb[i]
-            for user in range(num_users):
-                gain[i * num_users + user] = _marginal(
-                    utility, user, rate[user, k], have[user], weight[user], terms
-                )
-    for left in range(num_free - 1, -1, -1):
-        place = _greatest(gain, (left + 1) * num_users)
-        i = place // num_users
-        user = place - i * num_users
-        k = free_prb[i]
-        owner[k] = user
-        have[user] += np.float64(rate[user, k])
-        # The last free PRB takes the place of the one just given.
-        free_prb[i] = free_prb[left]
-        for other in range(num_users):
-            gain[i * num_users + other] = gain[left * num_users + other]
-        for j in range(left):
-            gain[j * num_users + user] = _marginal(
-                utility, user, rate[user, free_prb[j]], have[user], weight[user], terms
-            )
-
-
-@kernel()
-def allocate_by_urgency(
-    rate: NDArray[np.float32],
-    urgency: NDArray[np.float64],
-    need_mbps: NDArray[np.float64],
-    scratch: AllocationScratch,
-    owner: NDArray[np.uint32],
-) -> None:
-    """Serve users in the order of falling urgency: one PRB each, then PRBs until the need is met.
-
-    Parameters
-    ----------
-    rate
-        Rate of each user on each PRB, shape (U, K), Mbit/s.
-    urgency
-        Shape (U,); equal urgencies are served in the order of the users.
-    need_mbps
-        Rate that would empty the user's queue in this slot, shape (U,). PRBs that nobody needs are
-        given out one by one in the same order.
-    scratch
-        From `allocation_scratch`.
-    owner
-        Result: user of each PRB, shape (K,).
-    """
-    num_users, num_prb = rate.shape
-    order = scratch.order
-    for user in range(num_users):
-        place = user
-        while place > 0 and urgency[order[place - 1]] < urgency[user]:
-            order[place] = order[place - 1]
-            place -= 1
-        order[place] = user
-        scratch.user_rate[user] = 0.0
-    for k in range(num_prb):
-        scratch.user_of_prb[k] = -1
-    left = num_prb
-    for place in range(num_users):
-        left -= _take_best(order[place], rate, scratch, owner)
-    for place in range(num_users):
-        user = order[place]
-        while left > 0 and scratch.user_rate[user] < need_mbps[user]:
-            left -= _take_best(user, rate, scratch, owner)
-    place = 0
-    while left > 0:
-        left -= _take_best(order[place % num_users], rate, scratch, owner)
-        place += 1
-
-
-@kernel()
-def _take_best(
-    user: int,
-    rate: NDArray[np.float32],
-    scratch: AllocationScratch,
-    owner: NDArray[np.uint32],
-) -> int:
-    """Give the user its best free PRB; returns 1, the number of PRBs taken."""
-    best = -1
-    for k in range(rate.shape[1]):
-        if scratch.user_of_prb[k] < 0 and (best < 0 or rate[user, k] > rate[user, best]):
-            best = k
-    scratch.user_of_prb[best] = user
-    scratch.user_rate[user] += rate[user, best]
-    owner[best] = user
-    return 1
-
-
-@kernel()
-def allocate_in_turn(slot: int, num_users: int, num_prb: int, owner: NDArray[np.uint32]) -> None:
-    """Round robin: PRBs go around the users, and the next slot goes on where this one stopped."""
-    for k in range(num_prb):
-        owner[k] = (slot * num_prb + k) % num_users
+        first_owner = assignment.user_of_prb[k]
+        owner[k] = first_owner
+        scratch.free_prb[num_free] = k
+        num_free += 1 if first_owner < 0 else 0
+    _first_gains(utility, rate, weight, terms, scratch, num_free)
+    _give_out(utility, rate, weight, terms, scratch, num_free, owner)

@@ -10,36 +10,42 @@ from numpy.typing import NDArray
 
 from hiersched.compiled import kernel
 
+ROW_LANES = 32
+"""Rows of the cost matrix are padded to a multiple of this: whole vectors, no scalar rest."""
+
+FAR = 1e300
+"""Cost of a PRB that does not exist."""
+
 _INDEX_BITS = np.int64(1023)
 _VALUE_BITS = ~_INDEX_BITS
-_FAR = 1e300
+LARGEST_KEY = np.int64(0x7FFFFFFFFFFFFFFF)
+"""Key of nothing yet."""
+_FAR_BITS = np.float64(10.0 * FAR).view(np.int64)
 
 
-class AllocationScratch(NamedTuple):
-    """Work arrays of one allocation; a `_bits` array shares the memory of its namesake."""
+class AssignmentScratch(NamedTuple):
+    """Work arrays of one assignment of U users to K PRBs; rows are padded to K' columns.
+
+    `cost` (U, K') and `nearest` (U,) are the input; `user_of_prb` (K',), where -1 is a free PRB,
+    and `prb_of_user` (U,) the result.
+    """
 
     cost: NDArray[np.float64]
-    cost_bits: NDArray[np.int64]
-    distance: NDArray[np.float64]
-    distance_bits: NDArray[np.int64]
-    column_price: NDArray[np.float64]
-    open_price: NDArray[np.float64]
-    row_price: NDArray[np.float64]
-    settled_distance: NDArray[np.float64]
-    settled: NDArray[np.int64]
-    path: NDArray[np.int64]
+    nearest: NDArray[np.int64]
     user_of_prb: NDArray[np.int64]
     prb_of_user: NDArray[np.int64]
-    user_rate: NDArray[np.float64]
-    free_prb: NDArray[np.int64]
-    order: NDArray[np.int64]
-    gain: NDArray[np.float64]
-    ratio: NDArray[np.float32]
-    share: NDArray[np.float32]
-    log_rate: NDArray[np.float32]
+    row_price: NDArray[np.float64]
+    column_price: NDArray[np.float64]
+    open_price: NDArray[np.float64]
+    distance_bits: NDArray[np.int64]
+    free_user: NDArray[np.int64]
+    base: NDArray[np.float64]
+    settled: NDArray[np.int64]
+    settled_distance: NDArray[np.float64]
+    reached: NDArray[np.int64]
 
 
-def allocation_scratch(num_users: int, num_prb: int) -> AllocationScratch:
+def assignment_scratch(num_users: int, num_prb: int) -> AssignmentScratch:
     """Work arrays for `num_users` users and `num_prb` PRBs.
 
     Raises
@@ -51,109 +57,158 @@ def allocation_scratch(num_users: int, num_prb: int) -> AllocationScratch:
         raise ValueError(f"num_users = {num_users}: must be 1 to num_prb = {num_prb}")
     if num_prb > _INDEX_BITS:
         raise ValueError(f"num_prb = {num_prb}: at most {_INDEX_BITS}")
-    cost = np.zeros((num_users, num_prb))
-    distance = np.zeros(num_prb)
-    return AllocationScratch(
-        cost=cost,
-        cost_bits=cost.view(np.int64),
-        distance=distance,
-        distance_bits=distance.view(np.int64),
-        column_price=np.zeros(num_prb),
-        open_price=np.zeros(num_prb),
-        row_price=np.zeros(num_users),
-        settled_distance=np.zeros(num_prb),
-        settled=np.zeros(num_prb, np.int64),
-        path=np.zeros(num_prb, np.int64),
-        user_of_prb=np.zeros(num_prb, np.int64),
+    columns = -(-num_prb // ROW_LANES) * ROW_LANES
+    return AssignmentScratch(
+        cost=np.full((num_users, columns), FAR),
+        nearest=np.zeros(num_users, np.int64),
+        user_of_prb=np.zeros(columns, np.int64),
         prb_of_user=np.zeros(num_users, np.int64),
-        user_rate=np.zeros(num_users),
-        free_prb=np.zeros(num_prb, np.int64),
-        order=np.zeros(num_users, np.int64),
-        gain=np.zeros(num_users * num_prb),
-        ratio=np.zeros(num_users * num_prb, np.float32),
-        share=np.zeros(num_users, np.float32),
-        log_rate=np.zeros((num_users, num_prb), np.float32),
+        row_price=np.zeros(num_users),
+        column_price=np.zeros(columns),
+        open_price=np.zeros(columns),
+        distance_bits=np.zeros(columns, np.int64),
+        free_user=np.zeros(num_users, np.int64),
+        base=np.zeros(num_users + 1),
+        settled=np.zeros(num_users + 1, np.int64),
+        settled_distance=np.zeros(num_users + 1),
+        reached=np.zeros(num_users + 1, np.int64),
     )
 
 
 @njit(inline="always")
-def _least(bits: NDArray[np.int64], count: int) -> int:
-    """Index of the least of `count` non-negative doubles, given as their bits.
+def bits_of(value: float) -> np.int64:
+    """Bits of a double as an integer."""
+    return np.float64(value).view(np.int64)
+
+
+@njit(inline="always")
+def least_key(key: np.int64, value: float, index: int) -> np.int64:
+    """Key of the lesser of what `key` stands for and a non-negative double at `index`.
 
     Non-negative doubles order like their bits; the index rides in the last ten, so that minimum and
     place come from one vectorised reduction. Values closer than 2^-42 relative count as equal.
     """
-    key = np.int64(0x7FFFFFFFFFFFFFFF)
-    for k in range(count):
-        key = min(key, (bits[k] & _VALUE_BITS) | k)
+    return min(key, (bits_of(value) & _VALUE_BITS) | np.int64(index))
+
+
+@njit(inline="always")
+def index_of(key: np.int64) -> int:
+    """Index of the key."""
     return int(key & _INDEX_BITS)
 
 
 @kernel(forceinline=True)
-def assign_one_each(scratch: AllocationScratch) -> None:
+def _reach_first(
+    row: NDArray[np.float64],
+    base: float,
+    price: NDArray[np.float64],
+    open_price: NDArray[np.float64],
+    distance_bits: NDArray[np.int64],
+) -> int:
+    """Distances from the user who starts; returns the nearest column."""
+    key = LARGEST_KEY
+    for k in range(distance_bits.shape[0]):
+        open_price[k] = price[k]
+        shortest = bits_of(base + row[k] - price[k])
+        distance_bits[k] = shortest
+        key = min(key, (shortest & _VALUE_BITS) | k)
+    return index_of(key)
+
+
+@kernel(forceinline=True)
+def _reach(
+    row: NDArray[np.float64],
+    base: float,
+    closed: int,
+    open_price: NDArray[np.float64],
+    distance_bits: NDArray[np.int64],
+) -> int:
+    """Close a column, shorten the distances by the way over its user; returns the nearest column.
+
+    A closed column is out of reach from then on: neither the least nor ever improved. It is closed
+    within the loop, since a vector load would wait for a scalar store.
+    """
+    key = LARGEST_KEY
+    for k in range(distance_bits.shape[0]):
+        price = -1e5 * FAR if k == closed else open_price[k]
+        open_price[k] = price
+        known = _FAR_BITS if k == closed else distance_bits[k]
+        shortest = min(known, bits_of(base + row[k] - price))
+        distance_bits[k] = shortest
+        key = min(key, (shortest & _VALUE_BITS) | k)
+    return index_of(key)
+
+
+@kernel(forceinline=True)
+def assign_one_each(scratch: AssignmentScratch) -> None:
     """Give every user exactly one PRB at least total cost.
 
-    The result stands in `prb_of_user` and in `user_of_prb`, where -1 is a free PRB.
-
     Shortest augmenting paths with dual prices (Jonker and Volgenant, Computing 1987; Crouse, IEEE
-    TAES 2016), for non-negative costs `scratch.cost`, shape (U, K), whose least entry in every row
-    is 0.
+    TAES 2016), for non-negative costs.
+
+    Parameters
+    ----------
+    scratch
+        `cost`, FAR in the padding, and `nearest`, the cheapest PRB of each user, are read;
+        `prb_of_user` and `user_of_prb` are the result.
     """
     cost = scratch.cost
     price = scratch.column_price
-    open_price = scratch.open_price
     row_price = scratch.row_price
-    distance = scratch.distance
+    distance_bits = scratch.distance_bits
+    base = scratch.base
+    settled = scratch.settled
+    settled_distance = scratch.settled_distance
+    reached = scratch.reached
+    free_user = scratch.free_user
     user_of_prb = scratch.user_of_prb
     prb_of_user = scratch.prb_of_user
-    path = scratch.path
-    num_users, num_prb = cost.shape
-    for k in range(num_prb):
+    num_users, columns = cost.shape
+    for k in range(columns):
         user_of_prb[k] = -1
         price[k] = 0.0
+    num_free = 0
     for user in range(num_users):
-        k = _least(scratch.cost_bits[user], num_prb)
+        k = scratch.nearest[user]
         row_price[user] = cost[user, k]
-        prb_of_user[user] = -1
-        if user_of_prb[k] < 0:
-            user_of_prb[k] = user
-            prb_of_user[user] = k
-    for start in range(num_users):
-        if prb_of_user[start] >= 0:
-            continue
-        for k in range(num_prb):
-            distance[k] = _FAR
-            open_price[k] = price[k]
-        user = start
-        base = -row_price[user]
-        num_settled = 0
-        while True:
-            row = cost[user]
-            for k in range(num_prb):
-                through = base + row[k] - open_price[k]
-                nearer = through < distance[k]
-                distance[k] = through if nearer else distance[k]
-                path[k] = user if nearer else path[k]
-            k = _least(scratch.distance_bits, num_prb)
-            shortest = distance[k]
-            if user_of_prb[k] < 0:
-                break
-            scratch.settled[num_settled] = k
-            scratch.settled_distance[num_settled] = shortest
-            num_settled += 1
-            # Out of reach from now on: neither the least nor ever improved.
-            distance[k] = 10.0 * _FAR
-            open_price[k] = -1e5 * _FAR
+        taken = user_of_prb[k]
+        is_free = taken >= 0
+        user_of_prb[k] = taken if is_free else user
+        prb_of_user[user] = k
+        free_user[num_free] = user
+        num_free += 1 if is_free else 0
+    for index in range(num_free):
+        start = free_user[index]
+        reached[0] = start
+        base[0] = -row_price[start]
+        k = _reach_first(cost[start], base[0], price, scratch.open_price, distance_bits)
+        shortest = np.int64(distance_bits[k]).view(np.float64)
+        settled[0] = k
+        steps = 0
+        user = user_of_prb[k]
+        while user >= 0:
+            settled_distance[steps] = shortest
+            steps += 1
+            reached[steps] = user
+            base[steps] = shortest - row_price[user]
+            k = _reach(cost[user], base[steps], k, scratch.open_price, distance_bits)
+            shortest = np.int64(distance_bits[k]).view(np.float64)
+            settled[steps] = k
             user = user_of_prb[k]
-            base = shortest - row_price[user]
-        for i in range(num_settled):
-            slack = shortest - scratch.settled_distance[i]
-            price[scratch.settled[i]] -= slack
-            row_price[user_of_prb[scratch.settled[i]]] += slack
+        last = steps
+        while last >= 0:
+            k = settled[last]
+            parent = 0
+            least = base[0] + cost[start, k] - price[k]
+            for i in range(1, last + 1):
+                through = base[i] + cost[reached[i], k] - price[k]
+                parent = i if through < least else parent
+                least = min(least, through)
+            user_of_prb[k] = reached[parent]
+            prb_of_user[reached[parent]] = k
+            last = parent - 1
+        for i in range(steps):
+            slack = shortest - settled_distance[i]
+            price[settled[i]] -= slack
+            row_price[reached[i + 1]] += slack
         row_price[start] += shortest
-        while True:
-            user = path[k]
-            user_of_prb[k] = user
-            k, prb_of_user[user] = prb_of_user[user], k
-            if user == start:
-                break

@@ -7,12 +7,13 @@ the rate is high enough (the paper prints the opposite sign: docs/paper_notes.md
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+from hiersched.numerics import exp_f64
 
 
 class UserTerms(NamedTuple):
@@ -53,8 +54,11 @@ def rate_penalty(rate_mbps: float, epsilon: float) -> float:
 
 @njit(inline="always")
 def delay_surrogate(rate_mbps: float, exponent_per_mbps: float, violation_share: float) -> float:
-    """Y = (1 - chi) - exp(-alpha_1 r D_max); negative where the constraint is violated."""
-    return violation_share - math.exp(-exponent_per_mbps * rate_mbps)
+    """Y = (1 - chi) - exp(-alpha_1 r D_max); negative where the constraint is violated.
+
+    Exponents below -700 count as -700, where the exponential is below 1e-303.
+    """
+    return violation_share - exp_f64(max(-700.0, -exponent_per_mbps * rate_mbps))
 
 
 @njit(inline="always")

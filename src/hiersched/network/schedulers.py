@@ -19,11 +19,10 @@ from hiersched.network.allocation import (
     UTILITY_LAGRANGIAN,
     UTILITY_LINEAR,
     UTILITY_LOG,
-    allocate_by_urgency,
+    AllocationScratch,
     allocate_by_utility,
-    allocate_in_turn,
 )
-from hiersched.network.assignment import AllocationScratch
+from hiersched.network.in_order import allocate_by_urgency, allocate_in_turn
 from hiersched.network.lyapunov import UserTerms
 
 WEIGHTED_PF = 0
@@ -165,7 +164,7 @@ def schedule_slot(
     if scheduler == ROUND_ROBIN:
         allocate_in_turn(slot, rate.shape[0], rate.shape[1], owner)
     elif scheduler == EDF:
-        need = scratch.row_price
+        need = scratch.assignment.row_price
         for user in range(rate.shape[0]):
             weight[user] = hol_delay_s[user] - constants.deadline_s[user]
             backlog = terms.backlog_packets[user]

@@ -19,14 +19,31 @@ from hiersched.robot.dexterity import MIN_SPEED_MPS
 NUM_STATES = 5
 NUM_INPUTS = 2
 
+LANES = 16
+"""Robots that move side by side. A block of them is one flat array, field after field: with offsets
+that the compiler knows, it proves that fields do not overlap, and uses whole vectors."""
+
+(
+    STATE,
+    SLIP,
+    CONTROL,
+    WINDOW_SUMS,
+    SLOT_SQUARE,
+    NORMALS,
+    _END,
+) = (LANES * place for place in (0, 5, 7, 9, 12, 13, 18))
+
+NUM_PATH = 4
+
 
 class RobotConstants(NamedTuple):
     """What does not change during a run.
 
     `adjusted_delay_steps`, shape (T_max + 1,), is T where the gain for T is adjusted, 0 where it is
     nominal. `local_gain` and `network_gain`, shape (T_max + 1, 2, 5), act on the present and on the
-    delayed measurement; `turn_rate`, `half_cos`, `half_sin` and `chord`, shape (N,), describe the
-    reference in each step, `offset`, shape (R,), is where each robot starts in them.
+    delayed measurement. `path`, shape (N, 4), describes the reference in each step: turn rate,
+    cosine and sine of half the step's turn, chord; `offset`, shape (R,), is where each robot starts
+    in it.
     """
 
     step_s: float
@@ -49,10 +66,7 @@ class RobotConstants(NamedTuple):
     network_gain: NDArray[np.float64]
     adjusted_delay_steps: NDArray[np.uint32]
     speed_mps: float
-    turn_rate: NDArray[np.float64]
-    half_cos: NDArray[np.float64]
-    half_sin: NDArray[np.float64]
-    chord: NDArray[np.float64]
+    path: NDArray[np.float64]
     pose: NDArray[np.float64]
     offset: NDArray[np.int64]
 
@@ -60,18 +74,32 @@ class RobotConstants(NamedTuple):
 class RobotState(NamedTuple):
     """What evolves, one row an environment.
 
-    State (E, R, 5), slip (E, R, 2), control (E, R, 2), the ring of measured states `history`
-    (E, R, T_max + 1, 5), sums over the window (E, R, 3), the dexterity index in force (E, R) and
-    the delay whose adjusted gain is in force, 0 for the nominal gain (E, R).
+    `lanes` (E, blocks, 18 LANES) holds, for blocks of LANES robots, state (5), slip (2), control
+    (2), sums over the window (3), the slot's sum of squared position errors and its standard
+    normals (5), each LANES times. `history` (E, R, T_max + 1, 5) is the ring of measured states,
+    `dexterity_index` (E, R) the one in force, `gain_delay_steps` (E, R) the delay whose adjusted
+    gain is in force, 0 for the nominal gain.
     """
 
-    state: NDArray[np.float64]
-    slip: NDArray[np.float64]
-    control: NDArray[np.float64]
+    lanes: NDArray[np.float64]
     history: NDArray[np.float64]
-    window_sums: NDArray[np.float64]
     dexterity_index: NDArray[np.float64]
     gain_delay_steps: NDArray[np.uint32]
+
+    def field(self, start: int, count: int) -> NDArray[np.float64]:
+        """Copy of a field of all robots, such as `STATE` with 5 values, shape (E, R, count)."""
+        num_envs, num_robots = self.dexterity_index.shape
+        lanes = self.lanes[:, :, start : start + count * LANES]
+        by_robot = lanes.reshape(num_envs, -1, count, LANES).transpose(0, 1, 3, 2)
+        return by_robot.reshape(num_envs, -1, count)[:, :num_robots].copy()
+
+    def set_state(self, value: NDArray[np.float64]) -> None:
+        """Put all robots into states, shape (E, R, 5) or broadcast to it."""
+        num_envs, num_robots = self.dexterity_index.shape
+        value = np.broadcast_to(value, (num_envs, num_robots, NUM_STATES))
+        for robot in range(num_robots):
+            block, lane = divmod(robot, LANES)
+            self.lanes[:, block, STATE + lane : SLIP + lane : LANES] = value[:, robot]
 
 
 def robot_state(
@@ -79,14 +107,16 @@ def robot_state(
 ) -> RobotState:
     """Robots at rest on their reference."""
     return RobotState(
-        state=np.zeros((num_envs, num_robots, NUM_STATES)),
-        slip=np.zeros((num_envs, num_robots, 2)),
-        control=np.zeros((num_envs, num_robots, NUM_INPUTS)),
+        lanes=np.zeros((num_envs, -(-num_robots // LANES), _END)),
         history=np.zeros((num_envs, num_robots, max_delay_steps + 1, NUM_STATES)),
-        window_sums=np.zeros((num_envs, num_robots, 3)),
         dexterity_index=np.full((num_envs, num_robots), initial_dexterity_index),
         gain_delay_steps=np.zeros((num_envs, num_robots), np.uint32),
     )
+
+
+def path_scratch(steps_per_slot: int) -> NDArray[np.float64]:
+    """Work array for the reference of one block of robots over one slot."""
+    return np.zeros(steps_per_slot * NUM_PATH * LANES)
 
 
 @njit(inline="always")
@@ -95,15 +125,39 @@ def steps_of_delay(delay_s: float, sampling_s: float) -> int:
     return int(np.ceil(delay_s / sampling_s - 1e-9))
 
 
-@kernel()
+@kernel(forceinline=True)
+def gather_path(
+    path: NDArray[np.float64], place: int, steps: int, lane: int, gathered: NDArray[np.float64]
+) -> None:
+    """Put the reference of one robot for `steps` steps from `place` on into its lane."""
+    for step in range(steps):
+        for field in range(NUM_PATH):
+            gathered[(step * NUM_PATH + field) * LANES + lane] = path[place + step, field]
+
+
+@kernel(forceinline=True)
+def start_slot(constants: RobotConstants, lanes: NDArray[np.float64]) -> None:
+    """Next slip of a block of robots from its normals; the slot's sum of squares starts at 0."""
+    for lane in range(LANES):
+        lanes[SLIP + lane] = (
+            constants.slip_decay * lanes[SLIP + lane]
+            + constants.slip_gain_mps * lanes[NORMALS + lane]
+        )
+        lanes[SLIP + LANES + lane] = (
+            constants.slip_decay * lanes[SLIP + LANES + lane]
+            + constants.slip_gain_radps * lanes[NORMALS + LANES + lane]
+        )
+        lanes[SLOT_SQUARE + lane] = 0.0
+
+
+@kernel(forceinline=True)
 def close_loop(
     constants: RobotConstants,
     sample: int,
     delay_steps: int,
-    normals: NDArray[np.float32],
-    state: NDArray[np.float64],
+    lane: int,
+    lanes: NDArray[np.float64],
     history: NDArray[np.float64],
-    control: NDArray[np.float64],
 ) -> int:
     """Measure one robot and set u(k) = -K_local x(k) - K_network x(k - T_d), gains of T_d.
 
@@ -115,10 +169,12 @@ def close_loop(
         Index k of the control sample. Before the first sample the robot stood on its reference.
     delay_steps
         T_d, at most `constants.max_delay_steps`.
-    normals
-        Standard normals, shape (5,); the last three are the measurement noise.
-    state, history, control
-        Shapes (5,), (T_max + 1, 5) and (2,); the latter two are written.
+    lane
+        The robot's lane.
+    lanes
+        Its block; the last three normals are the measurement noise, the control is written.
+    history
+        Its measured states, shape (T_max + 1, 5); that of this sample is written.
 
     Returns
     -------
@@ -127,11 +183,16 @@ def close_loop(
     """
     ring = constants.max_delay_steps + 1
     now = history[sample % ring]
-    now[0] = state[0] + constants.noise_position_m * normals[2]
-    now[1] = state[1] + constants.noise_position_m * normals[3]
-    now[2] = state[2] + constants.noise_heading_rad * normals[4]
-    now[3] = state[3]
-    now[4] = state[4]
+    now[0] = lanes[STATE + lane] + constants.noise_position_m * lanes[NORMALS + 2 * LANES + lane]
+    now[1] = (
+        lanes[STATE + LANES + lane] + constants.noise_position_m * lanes[NORMALS + 3 * LANES + lane]
+    )
+    now[2] = (
+        lanes[STATE + 2 * LANES + lane]
+        + constants.noise_heading_rad * lanes[NORMALS + 4 * LANES + lane]
+    )
+    now[3] = lanes[STATE + 3 * LANES + lane]
+    now[4] = lanes[STATE + 4 * LANES + lane]
     past = history[(sample - delay_steps) % ring]
     saturated = 0
     for i in range(NUM_INPUTS):
@@ -144,68 +205,65 @@ def close_loop(
         if abs(command) > limit:
             command = limit if command > 0.0 else -limit
             saturated = 1
-        control[i] = command
+        lanes[CONTROL + i * LANES + lane] = command
     return saturated
 
 
-@kernel()
-def move_step(
-    constants: RobotConstants,
-    place: int,
-    slip: NDArray[np.float64],
-    control: NDArray[np.float64],
-    state: NDArray[np.float64],
-    sums: NDArray[np.float64],
-) -> float:
-    """Move one robot by one integration step.
+@kernel(forceinline=True)
+def move_lanes(
+    step_s: float,
+    speed_mps: float,
+    lag_mean: float,
+    lag_decay: float,
+    path: NDArray[np.float64],
+    lanes: NDArray[np.float64],
+) -> None:
+    """Move a block of robots by one integration step.
 
-    Midpoint rule in the heading, exact in the actuator lag and in the rotation of the frame.
+    Midpoint rule in the heading, exact in the actuator lag and in the rotation of the frame. The
+    window sums grow by squared position error, absolute heading error and curvature at the end of
+    the step, the slot's sum by the first of them.
 
     Parameters
     ----------
-    constants
-        Reference and actuators.
-    place
-        Step within the reference.
-    slip, control
-        Slip in m/s and rad/s, command, shape (2,) each.
-    state
-        Shape (5,), in place.
-    sums
-        Window sums of squared position error, absolute heading error and curvature, shape (3,), in
-        place.
-
-    Returns
-    -------
-    float
-        Squared position error at the end of the step, m².
+    step_s, speed_mps, lag_mean, lag_decay
+        As in `RobotConstants`.
+    path
+        Reference of this step, shape (4 LANES,), from `gather_path`.
+    lanes
+        The block, in place.
     """
-    dt = constants.step_s
-    turn_rate = constants.turn_rate[place]
-    c = constants.half_cos[place]
-    s = constants.half_sin[place]
-    dv = state[3] - control[0]
-    dw = state[4] - control[1]
-    velocity = constants.speed_mps + control[0] + dv * constants.lag_mean + slip[0]
-    turn_error = control[1] + dw * constants.lag_mean + slip[1]
-    middle = wrap_angle(state[2] + 0.5 * dt * turn_error)
-    half_sine = sin_half(middle)
-    half_cosine = cos_half(middle)
-    forward = velocity * dt * (1.0 - 2.0 * half_sine * half_sine)
-    sideways = velocity * dt * (2.0 * half_sine * half_cosine)
-    # Half a turn of the reference's frame, the displacement in it, the other half.
-    x = c * state[0] + s * state[1] + forward - constants.chord[place]
-    y = c * state[1] - s * state[0] + sideways
-    e_x = c * x + s * y
-    e_y = c * y - s * x
-    e_theta = wrap_angle(state[2] + dt * turn_error)
-    state[0] = e_x
-    state[1] = e_y
-    state[2] = e_theta
-    state[3] = control[0] + dv * constants.lag_decay
-    state[4] = control[1] + dw * constants.lag_decay
-    square = e_x * e_x + e_y * e_y
-    sums[0] += square
-    sums[1] += abs(e_theta)
-    sums[2] += abs(turn_rate + turn_error) / max(abs(velocity), MIN_SPEED_MPS)
-    return float(square)
+    for lane in range(LANES):
+        turn_rate = path[lane]
+        c = path[LANES + lane]
+        s = path[2 * LANES + lane]
+        chord = path[3 * LANES + lane]
+        control_v = lanes[CONTROL + lane]
+        control_w = lanes[CONTROL + LANES + lane]
+        heading = lanes[STATE + 2 * LANES + lane]
+        dv = lanes[STATE + 3 * LANES + lane] - control_v
+        dw = lanes[STATE + 4 * LANES + lane] - control_w
+        velocity = speed_mps + control_v + dv * lag_mean + lanes[SLIP + lane]
+        turn_error = control_w + dw * lag_mean + lanes[SLIP + LANES + lane]
+        middle = wrap_angle(heading + 0.5 * step_s * turn_error)
+        half_sine = sin_half(middle)
+        half_cosine = cos_half(middle)
+        forward = velocity * step_s * (1.0 - 2.0 * half_sine * half_sine)
+        sideways = velocity * step_s * (2.0 * half_sine * half_cosine)
+        # Half a turn of the reference's frame, the displacement in it, the other half.
+        x = c * lanes[STATE + lane] + s * lanes[STATE + LANES + lane] + forward - chord
+        y = c * lanes[STATE + LANES + lane] - s * lanes[STATE + lane] + sideways
+        e_x = c * x + s * y
+        e_y = c * y - s * x
+        e_theta = wrap_angle(heading + step_s * turn_error)
+        lanes[STATE + lane] = e_x
+        lanes[STATE + LANES + lane] = e_y
+        lanes[STATE + 2 * LANES + lane] = e_theta
+        lanes[STATE + 3 * LANES + lane] = control_v + dv * lag_decay
+        lanes[STATE + 4 * LANES + lane] = control_w + dw * lag_decay
+        square = e_x * e_x + e_y * e_y
+        curvature = abs(turn_rate + turn_error) / max(abs(velocity), MIN_SPEED_MPS)
+        lanes[SLOT_SQUARE + lane] += square
+        lanes[WINDOW_SUMS + lane] += square
+        lanes[WINDOW_SUMS + LANES + lane] += abs(e_theta)
+        lanes[WINDOW_SUMS + 2 * LANES + lane] += curvature

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from hiersched.network.schedulers import CLASSICAL
 from hiersched.scenario.schema import Scenario
-from hiersched.simulator.kernel import draw_channels, run_robots, run_slots
-from hiersched.simulator.records import SlotRecord, empty_record
+from hiersched.simulator.kernel import GIVEN, draw_channels, run_robots, run_slots
+from hiersched.simulator.records import SlotLayout, SlotRecord
 from hiersched.simulator.setup import (
     Gains,
     SlotConstants,
@@ -51,6 +51,10 @@ class Simulator:
         self._scratch = slot_scratch(self.constants)
         self._ones = np.ones((len(keys), scenario.num_users))
         self._zeros = np.zeros((len(keys), scenario.users.num_urllc))
+        self._no_owners = np.zeros((0, 0, 0), np.uint32)
+        self._layout = SlotLayout(
+            scenario.num_users, scenario.users.num_urllc, scenario.radio.num_prb
+        )
         draw_channels(self.constants, self.state, self._scratch)
 
     @property
@@ -110,6 +114,55 @@ class Simulator:
             raise ValueError(f"policy = {policy!r}: must be one of {', '.join(CLASSICAL)}")
         if num_slots is None:
             num_slots = self.slots_left if record is None else record.prb_owner.shape[1]
+        return self._run(
+            CLASSICAL[policy], num_slots, weights, multipliers, self._no_owners, record
+        )
+
+    def run_owners(
+        self,
+        prb_owner: NDArray[np.uint32],
+        *,
+        weights: NDArray[np.float64] | None = None,
+        multipliers: NDArray[np.float64] | None = None,
+        record: SlotRecord | None = None,
+    ) -> SlotRecord:
+        """Run all worlds under a given allocation, such as that of a log.
+
+        Parameters
+        ----------
+        prb_owner
+            Owner of each PRB, shape (E, T, K): T slots are run.
+        weights, multipliers, record
+            As for `run`; the weights are only recorded.
+
+        Raises
+        ------
+        ValueError
+            On owners of another shape, of users that are not there, or that leave a user without a
+            PRB; else as `run`.
+        """
+        num_prb, num_users = self.scenario.radio.num_prb, self.scenario.num_users
+        if prb_owner.ndim != 3 or prb_owner.shape[::2] != (self.num_envs, num_prb):
+            raise ValueError(
+                f"prb_owner: shape {prb_owner.shape}, must be ({self.num_envs}, slots, {num_prb})"
+            )
+        held = (prb_owner[..., None] == np.arange(num_users)).any(axis=2)
+        if not held.all() or (prb_owner >= num_users).any():
+            raise ValueError(
+                f"prb_owner: every user 0 to {num_users - 1} must own a PRB, and nobody else"
+            )
+        owners = np.ascontiguousarray(prb_owner, dtype=np.uint32)
+        return self._run(GIVEN, prb_owner.shape[1], weights, multipliers, owners, record)
+
+    def _run(
+        self,
+        scheduler: int,
+        num_slots: int,
+        weights: NDArray[np.float64] | None,
+        multipliers: NDArray[np.float64] | None,
+        owners: NDArray[np.uint32],
+        record: SlotRecord | None,
+    ) -> SlotRecord:
         if not 0 < num_slots <= self.slots_left:
             raise ValueError(f"num_slots = {num_slots}: must be 1 to {self.slots_left}")
         if weights is None:
@@ -129,10 +182,11 @@ class Simulator:
             self.constants,
             self.state,
             self._scratch,
-            CLASSICAL[policy],
+            scheduler,
             weights,
             self._zeros if multipliers is None else multipliers,
-            record,
+            owners,
+            record.rows,
         )
         return record
 
@@ -158,17 +212,9 @@ class Simulator:
             raise ValueError(
                 f"network_delay_s: {network_delay_s.shape[1]} slots, at most {self.slots_left}"
             )
-        record.network_delay_s[...] = network_delay_s
-        run_robots(self.constants, self.state, self._scratch, record)
+        run_robots(self.constants, self.state, self._scratch, network_delay_s, record.rows)
         return record
 
     def new_record(self, num_slots: int) -> SlotRecord:
         """Zeroed record for `num_slots` slots of all worlds."""
-        scenario = self.scenario
-        return empty_record(
-            self.num_envs,
-            num_slots,
-            scenario.num_users,
-            scenario.users.num_urllc,
-            scenario.radio.num_prb,
-        )
+        return self._layout.record(self.num_envs, num_slots)

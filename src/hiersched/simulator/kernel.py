@@ -8,15 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.compiled import kernel
-from hiersched.network.lyapunov import (
-    delay_surrogate,
-    mean_arrivals,
-    offered_service,
-    rate_penalty,
-)
-from hiersched.network.queues import serve_slot
 from hiersched.network.schedulers import schedule_slot
-from hiersched.network.traffic import poisson_quantiles
 from hiersched.numerics import F32
 from hiersched.radio.channel import prb_rates
 from hiersched.randomness import (
@@ -26,9 +18,27 @@ from hiersched.randomness import (
     draw_uniforms,
 )
 from hiersched.robot.dexterity import window_index
-from hiersched.robot.dynamics import RobotConstants, close_loop, move_step, steps_of_delay
-from hiersched.simulator.records import SlotRecord
+from hiersched.robot.dynamics import (
+    CONTROL,
+    LANES,
+    NORMALS,
+    NUM_PATH,
+    SLOT_SQUARE,
+    STATE,
+    WINDOW_SUMS,
+    RobotConstants,
+    close_loop,
+    gather_path,
+    move_lanes,
+    start_slot,
+    steps_of_delay,
+)
+from hiersched.simulator.records import SlotFields
+from hiersched.simulator.service import serve
 from hiersched.simulator.setup import SlotConstants, SlotScratch, SlotState
+
+GIVEN = -1
+"""Scheduler code where the owners of the PRBs are given."""
 
 
 @kernel(forceinline=True)
@@ -67,65 +77,82 @@ def run_slots(
     scheduler: int,
     weights: NDArray[np.float64],
     multipliers: NDArray[np.float64],
-    record: SlotRecord,
+    owners: NDArray[np.uint32],
+    rows: NDArray[np.uint64],
 ) -> None:
-    """Run all environments for as many slots as `record` has.
+    """Run all environments for as many slots as `rows` has.
 
     Parameters
     ----------
     constants, state, scratch
         From `simulator.setup`; `state` moves on.
     scheduler
-        Code of the scheduler.
+        Code of the scheduler, or GIVEN.
     weights
         Weights of the weighted PF rule, shape (E, U).
     multipliers
         Multiplier of each URLLC user's delay constraint, shape (E, R).
-    record
-        Is filled.
+    owners
+        For GIVEN, the owner of each PRB, shape (E, T, K); not read otherwise.
+    rows
+        Is filled: the rows of a record, shape (E, T, words).
     """
-    num_slots = record.prb_owner.shape[1]
+    record = scratch.slot
     for env in range(state.key.shape[0]):
-        for index in range(num_slots):
-            _observe(constants, state, scratch, multipliers[env], record, env, index)
+        for index in range(rows.shape[1]):
+            _observe(constants, state, scratch, multipliers[env], record, env)
             for user in range(weights.shape[1]):
-                record.weight[env, index, user] = np.float32(weights[env, user])
-            schedule_slot(
-                scheduler,
-                state.slot[env],
-                state.prb_rate_mbps[env],
-                weights[env],
-                state.hol_delay_s[env],
-                state.average_rate_mbps[env],
-                scratch.terms,
-                constants.rules,
-                scratch.weight,
-                scratch.allocation,
-                record.prb_owner[env, index],
-            )
-            _serve(constants, state, scratch, record, env, index)
-            for robot in range(constants.num_urllc):
-                _drive_robot(constants.robots, state, record, env, index, robot)
+                record.weight[user] = np.float32(weights[env, user])
+            if scheduler == GIVEN:
+                for prb in range(constants.num_prb):
+                    record.prb_owner[prb] = owners[env, index, prb]
+            else:
+                schedule_slot(
+                    scheduler,
+                    state.slot[env],
+                    state.prb_rate_mbps[env],
+                    weights[env],
+                    state.hol_delay_s[env],
+                    state.average_rate_mbps[env],
+                    scratch.terms,
+                    constants.rules,
+                    scratch.weight,
+                    scratch.allocation,
+                    record.prb_owner,
+                )
+            serve(constants, state, scratch, record, env)
+            _drive_robots(constants.robots, state, scratch.path, record, env)
             state.slot[env] += 1
+            _copy_row(scratch.row, rows[env, index])
             draw_channel(constants, state, scratch, env)
 
 
 @kernel()
 def run_robots(
-    constants: SlotConstants, state: SlotState, scratch: SlotScratch, record: SlotRecord
+    constants: SlotConstants,
+    state: SlotState,
+    scratch: SlotScratch,
+    network_delay_s: NDArray[np.float64],
+    rows: NDArray[np.uint64],
 ) -> None:
-    """Run the robots alone with the network delays that stand in `record.network_delay_s`."""
+    """Run the robots alone with network delays of shape (E, T, R); `rows` is filled."""
+    record = scratch.slot
+    scratch.row[:] = 0  # what belongs to the network
     for env in range(state.key.shape[0]):
-        for index in range(record.network_delay_s.shape[1]):
-            normals = record.robot_normal[env, index]
-            draw_normals(
-                state.key[env], state.slot[env], scratch.normal_words, scratch.normals, normals
-            )
+        for index in range(rows.shape[1]):
+            draw_normals(state.key[env], state.slot[env], scratch.normals, record.robot_normal)
             for robot in range(constants.num_urllc):
-                dexterity = state.robots.dexterity_index[env, robot]
-                record.dexterity_index[env, index, robot] = dexterity
-                _drive_robot(constants.robots, state, record, env, index, robot)
+                record.dexterity_index[robot] = state.robots.dexterity_index[env, robot]
+                record.network_delay_s[robot] = network_delay_s[env, index, robot]
+            _drive_robots(constants.robots, state, scratch.path, record, env)
             state.slot[env] += 1
+            _copy_row(scratch.row, rows[env, index])
+
+
+@kernel(forceinline=True)
+def _copy_row(row: NDArray[np.uint64], out: NDArray[np.uint64]) -> None:
+    for word in range(row.shape[0]):
+        out[word] = row[word]
 
 
 @kernel()
@@ -154,187 +181,135 @@ def _observe(
     state: SlotState,
     scratch: SlotScratch,
     multiplier: NDArray[np.float64],
-    record: SlotRecord,
+    record: SlotFields,
     env: int,
-    index: int,
 ) -> None:
     """Draw the slot's world and note what the scheduler sees."""
     num_users = state.backlog_packets.shape[1]
     key = state.key[env]
     slot = state.slot[env]
-    draw_uniforms(key, STREAM_ARRIVAL, slot, 0, record.arrival_uniform[env, index])
-    draw_normals(key, slot, scratch.normal_words, scratch.normals, record.robot_normal[env, index])
+    draw_uniforms(key, STREAM_ARRIVAL, slot, 0, record.arrival_uniform)
+    draw_normals(key, slot, scratch.normals, record.robot_normal)
     terms = scratch.terms
     drawn = state.fading_power[env]
-    power = record.fading_power[env, index].reshape(-1)
+    power = record.fading_power.reshape(-1)
     flat = drawn.reshape(-1)
     for i in range(power.shape[0]):
         power[i] = flat[i]
     for user in range(num_users):
-        record.mean_fading_power[env, index, user] = _row_mean(drawn[user])
+        record.mean_fading_power[user] = _row_mean(drawn[user])
         backlog = state.backlog_packets[env, user]
         terms.backlog_packets[user] = backlog
-        record.backlog_packets[env, index, user] = backlog
-        record.hol_delay_s[env, index, user] = state.hol_delay_s[env, user]
-        record.average_rate_mbps[env, index, user] = state.average_rate_mbps[env, user]
+        record.backlog_packets[user] = backlog
+        record.hol_delay_s[user] = state.hol_delay_s[env, user]
+        record.average_rate_mbps[user] = state.average_rate_mbps[env, user]
     for robot in range(constants.num_urllc):
         dexterity = state.robots.dexterity_index[env, robot]
         terms.service_offset_mbps[robot] = constants.service_coefficient_mbps * dexterity
         terms.multiplier[robot] = multiplier[robot]
-        record.dexterity_index[env, index, robot] = dexterity
-        record.multiplier[env, index, robot] = multiplier[robot]
+        record.dexterity_index[robot] = dexterity
+        record.multiplier[robot] = multiplier[robot]
 
 
 @kernel(forceinline=True)
-def _serve(
-    constants: SlotConstants,
-    state: SlotState,
-    scratch: SlotScratch,
-    record: SlotRecord,
-    env: int,
-    index: int,
-) -> None:
-    """Rates of the allocation, arrivals, queues, delays and the parts of the Lagrangian."""
-    num_users = state.backlog_packets.shape[1]
-    terms = scratch.terms
-    owner = record.prb_owner[env, index]
-    rate = record.rate_mbps[env, index]
-    count = record.num_prb[env, index]
-    for user in range(num_users):
-        rate[user] = 0.0
-        count[user] = 0
-    for prb in range(owner.shape[0]):
-        user_of_prb = np.int64(owner[prb])
-        rate[user_of_prb] += np.float64(state.prb_rate_mbps[env, user_of_prb, prb])
-        count[user_of_prb] += 1
-    for user in range(num_users):
-        wanted = constants.offered_mbps[user] - constants.rate_sensitivity[user] * rate[user]
-        record.arrival_clamped[env, index, user] = 1 if wanted < 0.0 else 0
-        mean = mean_arrivals(
-            rate[user],
-            constants.offered_mbps[user],
-            constants.rate_sensitivity[user],
-            constants.arrival_packets_per_mbps[user],
-        )
-        scratch.mean_batches[user] = mean / constants.batch_packets
-    poisson_quantiles(
-        record.arrival_uniform[env, index],
-        scratch.mean_batches,
-        scratch.poisson,
-        scratch.batches,
-    )
-    slot = state.slot[env]
-    drift_urllc = 0.0
-    drift_embb = 0.0
-    penalty_urllc = 0.0
-    penalty_embb = 0.0
-    priced = 0.0
-    for user in range(num_users):
-        r = rate[user]
-        arrivals = scratch.batches[user] * constants.batch_packets
-        service = offered_service(
-            r, terms.service_offset_mbps[user], constants.service_packets_per_mbps
-        )
-        backlog = state.backlog_packets[env, user]
-        after, head, sojourn, hol, due, late = serve_slot(
-            slot,
-            backlog,
-            arrivals,
-            service,
-            constants.deadline_slots[user],
-            state.arrived[env, :, user],
-            state.head[env, user],
-        )
-        record.arrivals_packets[env, index, user] = arrivals
-        record.service_packets[env, index, user] = service
-        record.delay_s[env, index, user] = sojourn * constants.slot_s
-        record.due_packets[env, index, user] = due
-        record.late_packets[env, index, user] = late
-        state.backlog_packets[env, user] = after
-        state.head[env, user] = head
-        state.hol_delay_s[env, user] = hol * constants.slot_s
-        state.rate_mbps[env, user] = r
-        state.average_rate_mbps[env, user] += constants.average_forgetting * (
-            r - state.average_rate_mbps[env, user]
-        )
-        drift = 0.5 * (after * after - backlog * backlog)
-        penalty = rate_penalty(r, constants.epsilon)
-        if user < constants.num_urllc:
-            drift_urllc += drift
-            penalty_urllc += penalty
-            if constants.measured_constraint:
-                y = (constants.violation_share * due - late) / constants.mean_due_packets[user]
-            else:
-                y = delay_surrogate(r, constants.delay_exponent_per_mbps, constants.violation_share)
-            record.constraint[env, index, user] = y
-            record.network_delay_s[env, index, user] = (
-                record.delay_s[env, index, user] + constants.robots.core_latency_s
-            )
-            priced += terms.multiplier[user] * y
-        else:
-            drift_embb += drift
-            penalty_embb += penalty
-    record.drift_urllc[env, index] = drift_urllc
-    record.drift_embb[env, index] = drift_embb
-    record.penalty_urllc[env, index] = penalty_urllc
-    record.penalty_embb[env, index] = penalty_embb
-    record.reward_urllc[env, index] = -(
-        drift_urllc + constants.penalty_weight * penalty_urllc - priced
-    ) / (constants.num_urllc * constants.reward_scale)
-    record.reward_embb[env, index] = -(drift_embb + constants.penalty_weight * penalty_embb) / (
-        (num_users - constants.num_urllc) * constants.reward_scale
-    )
-
-
-@kernel(forceinline=True)
-def _drive_robot(
+def _drive_robots(
     robots: RobotConstants,
     state: SlotState,
-    record: SlotRecord,
+    path: NDArray[np.float64],
+    record: SlotFields,
     env: int,
-    index: int,
-    robot: int,
 ) -> None:
-    """Move one robot through the slot with the network delay that stands in the record."""
-    body = state.robots.state[env, robot]
-    slip = state.robots.slip[env, robot]
-    control = state.robots.control[env, robot]
-    history = state.robots.history[env, robot]
-    sums = state.robots.window_sums[env, robot]
-    normals = record.robot_normal[env, index, robot]
-    wanted = steps_of_delay(record.network_delay_s[env, index, robot], robots.sampling_s)
-    steps = min(wanted, robots.max_delay_steps)
-    slip[0] = robots.slip_decay * slip[0] + robots.slip_gain_mps * normals[0]
-    slip[1] = robots.slip_decay * slip[1] + robots.slip_gain_radps * normals[1]
-    saturated = 0
-    square_error = 0.0
-    offset = robots.offset[robot]
+    """Move all robots through the slot with the network delays that stand in the record."""
+    delay_s = record.network_delay_s
+    delay_steps = record.delay_steps
+    saturated = record.control_saturated
+    num_robots = delay_s.shape[0]
+    for robot in range(num_robots):
+        wanted = steps_of_delay(delay_s[robot], robots.sampling_s)
+        steps = min(wanted, robots.max_delay_steps)
+        delay_steps[robot] = steps
+        record.delay_capped[robot] = 1 if wanted > steps else 0
+        saturated[robot] = 0
     first = state.slot[env] * robots.steps_per_slot
     last = first + robots.steps_per_slot
-    for step in range(first, last):
-        if step % robots.steps_per_sample == 0:
-            sample = step // robots.steps_per_sample
-            saturated += close_loop(robots, sample, steps, normals, body, history, control)
-            state.robots.gain_delay_steps[env, robot] = robots.adjusted_delay_steps[steps]
-        square_error += move_step(robots, offset + step, slip, control, body, sums)
-        if (step + 1) % robots.steps_per_window == 0:
-            state.robots.dexterity_index[env, robot] = window_index(
-                sums[0], sums[1], sums[2], robots.steps_per_window
+    for block in range(state.robots.lanes.shape[1]):
+        lanes = state.robots.lanes[env, block]
+        begin = block * LANES
+        count = min(LANES, num_robots - begin)
+        for lane in range(count):
+            normals = record.robot_normal[begin + lane]
+            for j in range(5):
+                lanes[NORMALS + j * LANES + lane] = np.float64(normals[j])
+            place = robots.offset[begin + lane] + first
+            gather_path(robots.path, place, robots.steps_per_slot, lane, path)
+        start_slot(robots, lanes)
+        for step in range(first, last):
+            if step % robots.steps_per_sample == 0:
+                sample = step // robots.steps_per_sample
+                for lane in range(count):
+                    robot = begin + lane
+                    step_delay = int(delay_steps[robot])
+                    saturated[robot] += close_loop(
+                        robots, sample, step_delay, lane, lanes, state.robots.history[env, robot]
+                    )
+                    state.robots.gain_delay_steps[env, robot] = robots.adjusted_delay_steps[
+                        step_delay
+                    ]
+            of_step = (step - first) * NUM_PATH * LANES
+            move_lanes(
+                robots.step_s,
+                robots.speed_mps,
+                robots.lag_mean,
+                robots.lag_decay,
+                path[of_step : of_step + NUM_PATH * LANES],
+                lanes,
             )
-            sums[:] = 0.0
-    record.delay_steps[env, index, robot] = steps
-    record.delay_capped[env, index, robot] = 1 if wanted > steps else 0
-    record.gain_delay_steps[env, index, robot] = state.robots.gain_delay_steps[env, robot]
-    record.control_saturated[env, index, robot] = saturated
-    record.tracking_error_m[env, index, robot] = math.sqrt(square_error / robots.steps_per_slot)
-    body_record = record.state[env, index, robot]
+            if (step + 1) % robots.steps_per_window == 0:
+                _end_window(robots, lanes, state.robots.dexterity_index[env, begin:])
+        for lane in range(count):
+            _record_robot(robots, state, lanes, lane, last, record, env, begin + lane)
+
+
+@kernel()
+def _end_window(
+    robots: RobotConstants, lanes: NDArray[np.float64], dexterity_index: NDArray[np.float64]
+) -> None:
+    """Dexterity index of a block of robots, shape (robots from the block on,), and new sums."""
+    for lane in range(min(LANES, dexterity_index.shape[0])):
+        dexterity_index[lane] = window_index(
+            lanes[WINDOW_SUMS + lane],
+            lanes[WINDOW_SUMS + LANES + lane],
+            lanes[WINDOW_SUMS + 2 * LANES + lane],
+            robots.steps_per_window,
+        )
+    for place in range(WINDOW_SUMS, WINDOW_SUMS + 3 * LANES):
+        lanes[place] = 0.0
+
+
+@kernel(forceinline=True)
+def _record_robot(
+    robots: RobotConstants,
+    state: SlotState,
+    lanes: NDArray[np.float64],
+    lane: int,
+    last: int,
+    record: SlotFields,
+    env: int,
+    robot: int,
+) -> None:
+    """Note where one robot stands after the slot's last step."""
+    record.gain_delay_steps[robot] = state.robots.gain_delay_steps[env, robot]
+    record.tracking_error_m[robot] = math.sqrt(lanes[SLOT_SQUARE + lane] / robots.steps_per_slot)
+    body = record.state[robot]
     for j in range(5):
-        body_record[j] = body[j]
-    reference = record.reference[env, index, robot]
-    pose = robots.pose[offset + last]
+        body[j] = lanes[STATE + j * LANES + lane]
+    place = robots.offset[robot] + last
+    reference = record.reference[robot]
+    pose = robots.pose[place]
     for j in range(3):
         reference[j] = pose[j]
     reference[3] = robots.speed_mps
-    reference[4] = robots.turn_rate[offset + last - 1]
-    record.control[env, index, robot, 0] = control[0]
-    record.control[env, index, robot, 1] = control[1]
+    reference[4] = robots.path[place - 1, 0]
+    control = record.control[robot]
+    control[0] = lanes[CONTROL + lane]
+    control[1] = lanes[CONTROL + LANES + lane]

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 
-class SlotRecord(NamedTuple):
-    """Slots of E environments; every array has leading axes (E, T), then the shape noted.
+class SlotFields(NamedTuple):
+    """What a slot holds, field by field; the shape of one slot is noted.
 
     U users (URLLC first), R robots (one a URLLC user), K PRBs. Fields and units are those of the
     log's topics.
@@ -50,6 +51,16 @@ class SlotRecord(NamedTuple):
     control_saturated: NDArray[np.uint32]  # (R,) samples
     tracking_error_m: NDArray[np.float64]  # (R,) root mean square over the slot
     dexterity_index: NDArray[np.float64]  # (R,) in force
+
+
+class SlotRecord(SlotFields):
+    """Slots of E environments: every field has leading axes (E, T), then the shape of a slot.
+
+    The fields are views of `rows` (E, T, words), in which a slot lies in one piece: the slot loop
+    then writes one stream to memory rather than one for every field.
+    """
+
+    rows: NDArray[np.uint64]
 
     def environment(self, index: int) -> dict[str, NDArray[Any]]:
         """Fields of one environment by name, each with leading axis (T,)."""
@@ -98,20 +109,63 @@ _UINT32 = (
 )
 
 
-def empty_record(
-    num_envs: int, num_slots: int, num_users: int, num_robots: int, num_prb: int
-) -> SlotRecord:
-    """Zeroed record of `num_slots` slots of `num_envs` environments."""
-    sizes = {"U": num_users, "R": num_robots, "K": num_prb}
-    arrays = {}
-    for name in SlotRecord._fields:
-        if name in _SCALARS:
-            shape: tuple[str | int, ...] = ()
-        elif name in _PER_ROBOT:
-            shape = ("R",)
-        else:
-            shape = _SHAPES.get(name, ("U",))
-        dtype = np.float32 if name in _FLOAT32 else np.uint32 if name in _UINT32 else np.float64
-        concrete = tuple(sizes[n] if isinstance(n, str) else n for n in shape)
-        arrays[name] = np.zeros((num_envs, num_slots, *concrete), dtype)
-    return SlotRecord(**arrays)
+_ALIGNMENT = 64
+"""Fields of a row start at whole cache lines."""
+
+
+class SlotLayout:
+    """Where the fields of a slot lie in its row.
+
+    Parameters
+    ----------
+    num_users, num_robots, num_prb
+        U, R and K of the shapes in `SlotFields`.
+    """
+
+    def __init__(self, num_users: int, num_robots: int, num_prb: int) -> None:
+        sizes = {"U": num_users, "R": num_robots, "K": num_prb}
+        self._places: dict[str, tuple[int, np.dtype[Any], tuple[int, ...]]] = {}
+        offset = 0
+        for name in SlotFields._fields:
+            shape = tuple(sizes[n] if isinstance(n, str) else n for n in _shape_of(name))
+            dtype = np.dtype(_dtype_of(name))
+            self._places[name] = (offset, dtype, shape)
+            offset += -(-math.prod(shape) * dtype.itemsize // _ALIGNMENT) * _ALIGNMENT
+        self.words = offset // 8
+
+    def _views(self, rows: NDArray[np.uint64]) -> dict[str, NDArray[Any]]:
+        lead = rows.shape[:-1]
+        return {
+            name: np.ndarray(
+                (*lead, *shape),
+                dtype,
+                rows.data,
+                offset,
+                (*rows.strides[:-1], *np.empty(shape, dtype).strides),
+            )
+            for name, (offset, dtype, shape) in self._places.items()
+        }
+
+    def record(self, num_envs: int, num_slots: int) -> SlotRecord:
+        """Zeroed record of `num_slots` slots of `num_envs` environments."""
+        rows = np.zeros((num_envs, num_slots, self.words), np.uint64)
+        record = SlotRecord(**self._views(rows))
+        record.rows = rows
+        return record
+
+    def slot(self) -> tuple[SlotFields, NDArray[np.uint64]]:
+        """Fields of a single slot, each of its noted shape, and the row that they are views of."""
+        row = np.zeros(self.words, np.uint64)
+        return SlotFields(**self._views(row)), row
+
+
+def _shape_of(name: str) -> tuple[str | int, ...]:
+    if name in _SCALARS:
+        return ()
+    if name in _PER_ROBOT:
+        return ("R",)
+    return _SHAPES.get(name, ("U",))
+
+
+def _dtype_of(name: str) -> type[np.generic]:
+    return np.float32 if name in _FLOAT32 else np.uint32 if name in _UINT32 else np.float64

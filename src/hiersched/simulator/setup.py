@@ -9,14 +9,24 @@ from typing import NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.network.assignment import AllocationScratch, allocation_scratch
+from hiersched.network.allocation import AllocationScratch, allocation_scratch
 from hiersched.network.lyapunov import UserTerms
+from hiersched.network.queues import LANES, NUM_QUEUE_LANES, set_deadline
 from hiersched.network.schedulers import SchedulerConstants
-from hiersched.network.traffic import MAX_MEAN
+from hiersched.network.traffic import MAX_MEAN, NUM_ARRIVAL_LANES
 from hiersched.radio.channel import large_scale_gain, snr_per_fading_power
-from hiersched.robot.dynamics import RobotConstants, RobotState, robot_state
+from hiersched.randomness import NormalScratch, normal_scratch
+from hiersched.robot.dynamics import RobotConstants, RobotState, path_scratch, robot_state
 from hiersched.robot.reference import PathShape, reference_table
 from hiersched.scenario.schema import Scenario
+from hiersched.simulator.records import SlotFields, SlotLayout
+from hiersched.simulator.users import (
+    MEAN_DUE,
+    NUM_USER_LANES,
+    OFFERED,
+    PACKETS,
+    SENSITIVITY,
+)
 
 
 class Gains(Protocol):
@@ -72,7 +82,7 @@ class SlotState(NamedTuple):
     hol_delay_s: NDArray[np.float64]  # (E, U)
     average_rate_mbps: NDArray[np.float64]  # (E, U)
     rate_mbps: NDArray[np.float64]  # (E, U) of the last slot
-    arrived: NDArray[np.int64]  # (E, T + 1, U): a slot's users side by side in memory
+    arrived: NDArray[np.float64]  # (E, T + 1, U): a slot's users side by side in memory
     head: NDArray[np.int64]  # (E, U)
     robots: RobotState
 
@@ -81,14 +91,16 @@ class SlotScratch(NamedTuple):
     """Work arrays of the slot loop."""
 
     words: NDArray[np.uint32]
-    normal_words: NDArray[np.uint32]
-    normals: NDArray[np.float32]
+    normals: NormalScratch
     weight: NDArray[np.float64]
-    mean_batches: NDArray[np.float64]
-    poisson: NDArray[np.float64]
-    batches: NDArray[np.int64]
+    users: NDArray[np.float64]  # (blocks, fields of LANES users)
+    arrivals: NDArray[np.float64]  # likewise
+    queues: NDArray[np.float64]  # likewise
     terms: UserTerms
     allocation: AllocationScratch
+    path: NDArray[np.float64]
+    slot: SlotFields
+    row: NDArray[np.uint64]  # in which `slot` lies
 
 
 def _per_user(value: float | Sequence[float], count: int) -> NDArray[np.float64]:
@@ -240,10 +252,15 @@ def robot_constants(
         network_gain=network,
         adjusted_delay_steps=np.where(differs, np.arange(needed), 0).astype(np.uint32),
         speed_mps=robot.speed_mps,
-        turn_rate=table.turn_rate_radps,
-        half_cos=np.cos(half_turn),
-        half_sin=np.sin(half_turn),
-        chord=robot.speed_mps * step_s * np.sinc(half_turn / np.pi),
+        path=np.stack(
+            [
+                table.turn_rate_radps,
+                np.cos(half_turn),
+                np.sin(half_turn),
+                robot.speed_mps * step_s * np.sinc(half_turn / np.pi),
+            ],
+            axis=1,
+        ),
         pose=table.pose,
         offset=offset,
     )
@@ -276,7 +293,7 @@ def initial_state(scenario: Scenario, keys: NDArray[np.uint64], num_slots: int) 
         hol_delay_s=np.zeros((num_envs, num_users)),
         average_rate_mbps=np.zeros((num_envs, num_users)),
         rate_mbps=np.zeros((num_envs, num_users)),
-        arrived=np.zeros((num_envs, num_slots + 1, num_users), np.int64),
+        arrived=np.zeros((num_envs, num_slots + 1, num_users)),
         head=np.zeros((num_envs, num_users), np.int64),
         robots=robot_state(
             num_envs,
@@ -287,18 +304,41 @@ def initial_state(scenario: Scenario, keys: NDArray[np.uint64], num_slots: int) 
     )
 
 
+def _user_lanes(constants: SlotConstants) -> NDArray[np.float64]:
+    num_users = len(constants.offered_mbps)
+    lanes = np.zeros((-(-num_users // LANES), NUM_USER_LANES))
+    lanes[:, MEAN_DUE : MEAN_DUE + LANES] = 1.0
+    for field, values in (
+        (OFFERED, constants.offered_mbps),
+        (SENSITIVITY, constants.rate_sensitivity),
+        (PACKETS, constants.arrival_packets_per_mbps),
+        (MEAN_DUE, constants.mean_due_packets),
+    ):
+        for user, value in enumerate(values):
+            lanes[user // LANES, field + user % LANES] = value
+    return lanes
+
+
+def _queue_lanes(constants: SlotConstants) -> NDArray[np.float64]:
+    lanes = np.zeros((-(-len(constants.deadline_slots) // LANES), NUM_QUEUE_LANES))
+    for user, deadline_slots in enumerate(constants.deadline_slots):
+        set_deadline(lanes[user // LANES], user % LANES, deadline_slots)
+    return lanes
+
+
 def slot_scratch(constants: SlotConstants) -> SlotScratch:
     """Work arrays for one caller of the slot loop."""
     num_users = len(constants.offered_mbps)
     num_prb = constants.num_prb
+    blocks = -(-num_users // LANES)
+    slot, row = SlotLayout(num_users, constants.num_urllc, num_prb).slot()
     return SlotScratch(
         words=np.zeros((4, (num_users * num_prb + 3) // 4), np.uint32),
-        normal_words=np.zeros((4, (6 * constants.num_urllc + 3) // 4), np.uint32),
-        normals=np.zeros((3, 3 * constants.num_urllc), np.float32),
+        normals=normal_scratch(constants.num_urllc),
         weight=np.zeros(num_users),
-        mean_batches=np.zeros(num_users),
-        poisson=np.zeros((2, num_users)),
-        batches=np.zeros(num_users, np.int64),
+        users=_user_lanes(constants),
+        arrivals=np.zeros((blocks, NUM_ARRIVAL_LANES)),
+        queues=_queue_lanes(constants),
         terms=UserTerms(
             backlog_packets=np.zeros(num_users),
             offered_mbps=constants.offered_mbps,
@@ -313,4 +353,7 @@ def slot_scratch(constants: SlotConstants) -> SlotScratch:
             violation_share=constants.violation_share,
         ),
         allocation=allocation_scratch(num_users, num_prb),
+        path=path_scratch(constants.robots.steps_per_slot),
+        slot=slot,
+        row=row,
     )
