@@ -37,7 +37,7 @@ def draw_floor(constants, state, scratch, slots):
     for env in range(state.key.shape[0]):
         for _ in range(slots):
             state.slot[env] += 1
-            draw_channel(constants, state, scratch, env)
+            draw_channel(constants, state, scratch, env, state.fading_power[env])
 
 
 def simulator(num_envs: int, num_slots: int = SLOTS) -> Simulator:

@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from hiersched.compiled import kernel
 from hiersched.network.assignment import (
     FAR,
+    INDEX_BITS,
     LARGEST_KEY,
+    VALUE_BITS,
     AssignmentScratch,
     assign_one_each,
     assignment_scratch,
@@ -172,15 +174,14 @@ def _marginal(
 
 @kernel(forceinline=True)
 def _greatest(gain: NDArray[np.float64]) -> int:
-    """Place of the greatest; the first of equal ones. By way of integers, as in `_largest`."""
-    count = gain.shape[0]
-    best = ordered_f64(gain[0])
-    for i in range(count):
-        best = max(best, ordered_f64(gain[i]))
-    place = count
-    for i in range(count):
-        place = min(place, i if ordered_f64(gain[i]) == best else count)
-    return int(place)
+    """Place of the greatest; the first of equal ones, values within 2^-42 counting as equal.
+
+    By way of integers, as in `_largest`; the place rides in the last bits, as in `least_key`.
+    """
+    key = -LARGEST_KEY
+    for i in range(gain.shape[0]):
+        key = max(key, (ordered_f64(gain[i]) & VALUE_BITS) | (INDEX_BITS - i))
+    return int(INDEX_BITS - (key & INDEX_BITS))
 
 
 @kernel(forceinline=True)

@@ -16,8 +16,8 @@ ROW_LANES = 32
 FAR = 1e300
 """Cost of a PRB that does not exist."""
 
-_INDEX_BITS = np.int64(1023)
-_VALUE_BITS = ~_INDEX_BITS
+INDEX_BITS = np.int64(1023)
+VALUE_BITS = ~INDEX_BITS
 LARGEST_KEY = np.int64(0x7FFFFFFFFFFFFFFF)
 """Key of nothing yet."""
 _FAR_BITS = np.float64(10.0 * FAR).view(np.int64)
@@ -55,8 +55,8 @@ def assignment_scratch(num_users: int, num_prb: int) -> AssignmentScratch:
     """
     if not 1 <= num_users <= num_prb:
         raise ValueError(f"num_users = {num_users}: must be 1 to num_prb = {num_prb}")
-    if num_prb > _INDEX_BITS:
-        raise ValueError(f"num_prb = {num_prb}: at most {_INDEX_BITS}")
+    if num_prb > INDEX_BITS:
+        raise ValueError(f"num_prb = {num_prb}: at most {INDEX_BITS}")
     columns = -(-num_prb // ROW_LANES) * ROW_LANES
     return AssignmentScratch(
         cost=np.full((num_users, columns), FAR),
@@ -88,13 +88,13 @@ def least_key(key: np.int64, value: float, index: int) -> np.int64:
     Non-negative doubles order like their bits; the index rides in the last ten, so that minimum and
     place come from one vectorised reduction. Values closer than 2^-42 relative count as equal.
     """
-    return min(key, (bits_of(value) & _VALUE_BITS) | np.int64(index))
+    return min(key, (bits_of(value) & VALUE_BITS) | np.int64(index))
 
 
 @njit(inline="always")
 def index_of(key: np.int64) -> int:
     """Index of the key."""
-    return int(key & _INDEX_BITS)
+    return int(key & INDEX_BITS)
 
 
 @kernel(forceinline=True)
@@ -111,7 +111,7 @@ def _reach_first(
         open_price[k] = price[k]
         shortest = bits_of(base + row[k] - price[k])
         distance_bits[k] = shortest
-        key = min(key, (shortest & _VALUE_BITS) | k)
+        key = min(key, (shortest & VALUE_BITS) | k)
     return index_of(key)
 
 
@@ -135,7 +135,7 @@ def _reach(
         known = _FAR_BITS if k == closed else distance_bits[k]
         shortest = min(known, bits_of(base + row[k] - price))
         distance_bits[k] = shortest
-        key = min(key, (shortest & _VALUE_BITS) | k)
+        key = min(key, (shortest & VALUE_BITS) | k)
     return index_of(key)
 
 

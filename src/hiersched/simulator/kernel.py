@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from hiersched.compiled import kernel
@@ -43,10 +45,14 @@ GIVEN = -1
 
 @kernel(forceinline=True)
 def draw_channel(
-    constants: SlotConstants, state: SlotState, scratch: SlotScratch, env: int
+    constants: SlotConstants,
+    state: SlotState,
+    scratch: SlotScratch,
+    env: int,
+    fading_power: NDArray[np.float32],
 ) -> None:
-    """Draw the fading and the rates of environment `env`'s coming slot."""
-    power = state.fading_power[env].reshape(-1)
+    """Draw environment `env`'s coming slot: its fading into (U, K), its rates into the state."""
+    power = fading_power.reshape(-1)
     draw_exponentials(state.key[env], state.slot[env], constants.fading_scale, scratch.words, power)
     prb_rates(
         power,
@@ -61,7 +67,7 @@ def draw_channels(constants: SlotConstants, state: SlotState, scratch: SlotScrat
     """Draw every environment's first slot; the average rate starts at that of one PRB."""
     num_users, num_prb = state.prb_rate_mbps.shape[1:]
     for env in range(state.key.shape[0]):
-        draw_channel(constants, state, scratch, env)
+        draw_channel(constants, state, scratch, env, state.fading_power[env])
         for user in range(num_users):
             total = 0.0
             for prb in range(num_prb):
@@ -99,6 +105,7 @@ def run_slots(
     """
     record = scratch.slot
     for env in range(state.key.shape[0]):
+        _copy(state.fading_power[env].reshape(-1), record.fading_power.reshape(-1))
         for index in range(rows.shape[1]):
             _observe(constants, state, scratch, multipliers[env], record, env)
             for user in range(weights.shape[1]):
@@ -123,8 +130,11 @@ def run_slots(
             serve(constants, state, scratch, record, env)
             _drive_robots(constants.robots, state, scratch.path, record, env)
             state.slot[env] += 1
-            _copy_row(scratch.row, rows[env, index])
-            draw_channel(constants, state, scratch, env)
+            _copy(scratch.row, rows[env, index])
+            # The next slot's channel goes where it will be needed, after the last slot the state.
+            is_last = index == rows.shape[1] - 1
+            power = state.fading_power[env] if is_last else record.fading_power
+            draw_channel(constants, state, scratch, env, power)
 
 
 @kernel()
@@ -146,13 +156,13 @@ def run_robots(
                 record.network_delay_s[robot] = network_delay_s[env, index, robot]
             _drive_robots(constants.robots, state, scratch.path, record, env)
             state.slot[env] += 1
-            _copy_row(scratch.row, rows[env, index])
+            _copy(scratch.row, rows[env, index])
 
 
-@kernel(forceinline=True)
-def _copy_row(row: NDArray[np.uint64], out: NDArray[np.uint64]) -> None:
-    for word in range(row.shape[0]):
-        out[word] = row[word]
+@njit(inline="always")
+def _copy(values: NDArray[Any], out: NDArray[Any]) -> None:
+    for i in range(values.shape[0]):
+        out[i] = values[i]
 
 
 @kernel()
@@ -191,13 +201,8 @@ def _observe(
     draw_uniforms(key, STREAM_ARRIVAL, slot, 0, record.arrival_uniform)
     draw_normals(key, slot, scratch.normals, record.robot_normal)
     terms = scratch.terms
-    drawn = state.fading_power[env]
-    power = record.fading_power.reshape(-1)
-    flat = drawn.reshape(-1)
-    for i in range(power.shape[0]):
-        power[i] = flat[i]
     for user in range(num_users):
-        record.mean_fading_power[user] = _row_mean(drawn[user])
+        record.mean_fading_power[user] = _row_mean(record.fading_power[user])
         backlog = state.backlog_packets[env, user]
         terms.backlog_packets[user] = backlog
         record.backlog_packets[user] = backlog
