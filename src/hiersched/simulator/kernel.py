@@ -35,6 +35,7 @@ from hiersched.robot.dynamics import (
     start_slot,
     steps_of_delay,
 )
+from hiersched.simulator.prefetch import prefetch_third
 from hiersched.simulator.records import SlotFields
 from hiersched.simulator.service import serve
 from hiersched.simulator.setup import SlotConstants, SlotScratch, SlotState
@@ -107,7 +108,10 @@ def run_slots(
     for env in range(state.key.shape[0]):
         _copy(state.fading_power[env].reshape(-1), record.fading_power.reshape(-1))
         for index in range(rows.shape[1]):
+            row = rows[env, index]
+            prefetch_third(row, 0)
             _observe(constants, state, scratch, multipliers[env], record, env)
+            prefetch_third(row, 1)
             for user in range(weights.shape[1]):
                 record.weight[user] = np.float32(weights[env, user])
             if scheduler == GIVEN:
@@ -127,10 +131,11 @@ def run_slots(
                     scratch.allocation,
                     record.prb_owner,
                 )
+            prefetch_third(row, 2)
             serve(constants, state, scratch, record, env)
             _drive_robots(constants.robots, state, scratch.path, record, env)
             state.slot[env] += 1
-            _copy(scratch.row, rows[env, index])
+            _copy(scratch.row, row)
             # The next slot's channel goes where it will be needed, after the last slot the state.
             is_last = index == rows.shape[1] - 1
             power = state.fading_power[env] if is_last else record.fading_power
