@@ -10,10 +10,13 @@ from scipy import stats
 
 from hiersched.study.statistics import (
     bootstrap_interval,
+    effect_size,
+    interquartile_interval,
     interquartile_mean,
     mean_interval,
     paired_difference,
     paired_ratio,
+    probability_of_improvement,
 )
 
 A = np.array([1.2, 0.8, 1.5, 0.9, 1.1])
@@ -109,3 +112,47 @@ def test_a_sample_of_another_shape_is_refused(values: list[object]) -> None:
 def test_samples_of_different_worlds_are_refused() -> None:
     with pytest.raises(ValueError, match="5 values against 4"):
         paired_ratio(A, B[:4])
+
+
+def test_stratified_bootstrap_keeps_the_strata_apart() -> None:
+    """Two strata far apart: resampled within, the share of each stays one half."""
+    rng = np.random.default_rng(4)
+    low, high = rng.normal(0.0, 1.0, 12), rng.normal(100.0, 1.0, 12)
+    got = interquartile_interval([low, high])
+    assert got == interquartile_interval([low, high])
+    assert got.mean == interquartile_mean(np.concatenate([low, high]))
+    pooled = interquartile_interval([np.concatenate([low, high])])
+    assert got.hi - got.lo < 5.0 < pooled.hi - pooled.lo
+    draws = [
+        stats.trim_mean(np.concatenate([rng.choice(low, 12), rng.choice(high, 12)]), 0.25)
+        for _ in range(4000)
+    ]
+    assert got[1:] == pytest.approx(np.quantile(draws, [0.025, 0.975]), abs=0.12)
+
+
+def test_strata_without_values_are_refused() -> None:
+    with pytest.raises(ValueError, match="strata"):
+        interquartile_interval([])
+    with pytest.raises(ValueError, match="shape"):
+        interquartile_interval([A, []])
+    assert math.isnan(interquartile_interval([[1.0], [2.0]]).lo)
+
+
+def test_probability_of_improvement_is_mann_whitneys() -> None:
+    a, b = np.array([1.0, 2.0, 3.0, 4.0]), np.array([2.0, 3.5, 5.0])
+    # 1 < all three; 2 = 2 and < two; 3 < two; 4 < one: (3 + 2.5 + 2 + 1) / 12
+    got = probability_of_improvement(a, b)
+    assert got.mean == pytest.approx(8.5 / 12.0)
+    assert got.mean == pytest.approx(stats.mannwhitneyu(b, a).statistic / 12.0)
+    assert got.mean == pytest.approx(1.0 - probability_of_improvement(b, a).mean)
+    assert 0.0 < got.lo < got.mean < got.hi <= 1.0
+    assert probability_of_improvement(A, A + 5.0) == (1.0, 1.0, 1.0)
+    assert math.isnan(probability_of_improvement([1.0, math.nan], b).mean)
+
+
+def test_effect_size_is_the_t_statistic_over_root_n() -> None:
+    statistic = stats.ttest_rel(A, B).statistic
+    assert effect_size(A - B) == pytest.approx(statistic / math.sqrt(len(A)))
+    assert effect_size([2.0, 2.0]) == math.inf
+    assert effect_size([0.0, 0.0]) == 0.0
+    assert math.isnan(effect_size([1.0]))

@@ -1,19 +1,22 @@
 """Means, differences and ratios over seeds with their intervals.
 
-Seeds are few, so intervals use Student's t distribution; a bootstrap (BCa) is there as the
-alternative that assumes no shape. Comparisons are paired: the i-th value of both samples comes from
-the same world.
+Seeds are few, so intervals use Student's t distribution; a bootstrap is there as the alternative
+that assumes no shape. Comparisons are paired: the i-th value of both samples comes from the same
+world. Interquartile mean, stratified bootstrap and probability of improvement follow Agarwal et al.
+("Deep reinforcement learning at the edge of the statistical precipice", NeurIPS 2021).
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 LEVEL = 0.95
+RESAMPLES = 9999
 
 
 class Interval(NamedTuple):
@@ -46,7 +49,7 @@ def mean_interval(values: npt.ArrayLike, level: float = LEVEL) -> Interval:
 
 
 def bootstrap_interval(
-    values: npt.ArrayLike, level: float = LEVEL, *, resamples: int = 9999, seed: int = 0
+    values: npt.ArrayLike, level: float = LEVEL, *, resamples: int = RESAMPLES, seed: int = 0
 ) -> Interval:
     """Return the mean and its bias-corrected accelerated bootstrap interval (Efron 1987).
 
@@ -129,11 +132,138 @@ def paired_ratio(values: npt.ArrayLike, baseline: npt.ArrayLike, level: float = 
 
 def interquartile_mean(values: npt.ArrayLike) -> float:
     """Return the mean of the middle half; a quarter of the sample is cut at each end."""
-    sample = np.sort(_sample(values))
-    cut = len(sample) / 4.0
-    weights = np.clip(np.arange(1, len(sample) + 1) - cut, 0.0, 1.0)
+    return float(_interquartile_means(_sample(values)))
+
+
+def interquartile_interval(
+    strata: Sequence[npt.ArrayLike],
+    level: float = LEVEL,
+    *,
+    resamples: int = RESAMPLES,
+    seed: int = 0,
+) -> Interval:
+    """Return the interquartile mean of all values and its stratified bootstrap interval.
+
+    Every resample draws as many values from each stratum as it has, so that a stratum (a load, a
+    cell) never weighs more than it does; the bounds are percentiles.
+
+    Parameters
+    ----------
+    strata
+        Samples, one value a seed each.
+    level
+        Coverage.
+    resamples, seed
+        Of the resampling: the same values give the same interval.
+
+    Raises
+    ------
+    ValueError
+        If there is no stratum, or one without a value.
+    """
+    samples = [_sample(stratum) for stratum in strata]
+    if not samples:
+        raise ValueError("strata: must be one or more")
+
+    def of_all(*drawn: Any, axis: int = -1) -> Any:
+        return _interquartile_means(np.concatenate(drawn, axis=axis))
+
+    estimate = interquartile_mean(np.concatenate(samples))
+    if math.isnan(estimate):
+        return Interval(math.nan, math.nan, math.nan)
+    if min(map(len, samples)) < 2:
+        return Interval(estimate, math.nan, math.nan)
+    return Interval(estimate, *_percentiles(samples, of_all, level, resamples, seed))
+
+
+def probability_of_improvement(
+    values: npt.ArrayLike,
+    baseline: npt.ArrayLike,
+    level: float = LEVEL,
+    *,
+    resamples: int = RESAMPLES,
+    seed: int = 0,
+) -> Interval:
+    """Return the probability that a value lies below one of the baseline, and its interval.
+
+    Over all pairs of a value and one of the baseline, equal ones counting half (Mann and Whitney's
+    statistic); both samples are resampled on their own. Where no pair is out of order the bounds
+    meet at 0 or 1: a bootstrap cannot know of values that were never seen.
+
+    Parameters
+    ----------
+    values, baseline
+        One value a seed, shapes (n,) and (m,); of measures of which less is better.
+    level
+        Coverage.
+    resamples, seed
+        Of the resampling.
+
+    Raises
+    ------
+    ValueError
+        If a sample is empty.
+    """
+    samples = [_sample(values), _sample(baseline)]
+    if any(np.isnan(sample).any() for sample in samples):
+        return Interval(math.nan, math.nan, math.nan)
+
+    def share_below(a: Any, b: Any, axis: int = -1) -> Any:
+        pairs = np.expand_dims(a, -1) - np.expand_dims(b, -2)
+        return ((pairs < 0.0) + 0.5 * (pairs == 0.0)).mean(axis=(-2, -1))
+
+    estimate = float(share_below(*samples))
+    if min(map(len, samples)) < 2:
+        return Interval(estimate, math.nan, math.nan)
+    return Interval(estimate, *_percentiles(samples, share_below, level, resamples, seed))
+
+
+def effect_size(differences: npt.ArrayLike) -> float:
+    """Return the mean of paired differences over their standard deviation (Cohen's d_z).
+
+    NaN where a single pair gives no standard deviation, infinite where all differences are equal
+    and not 0, 0 where all are 0.
+    """
+    sample = _sample(differences)
+    mean = float(sample.mean())
+    if len(sample) < 2 or math.isnan(mean):
+        return math.nan
+    spread = float(sample.std(ddof=1))
+    if spread <= 1e-12 * abs(mean):
+        return math.copysign(math.inf, mean) if mean != 0.0 else 0.0
+    return mean / spread
+
+
+def _interquartile_means(samples: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Interquartile means along the last axis, shape (..., n) -> (...)."""
+    count = samples.shape[-1]
+    weights = np.clip(np.arange(1, count + 1) - count / 4.0, 0.0, 1.0)
     weights = np.minimum(weights, weights[::-1])
-    return float(weights @ sample / weights.sum())
+    means: npt.NDArray[np.float64] = np.sort(samples, axis=-1) @ (weights / weights.sum())
+    return means
+
+
+def _percentiles(
+    samples: Sequence[npt.NDArray[np.float64]],
+    statistic: Any,
+    level: float,
+    resamples: int,
+    seed: int,
+) -> tuple[float, float]:
+    """Percentile bootstrap of a statistic of samples that are resampled on their own."""
+    from scipy.stats import bootstrap
+
+    result = bootstrap(
+        tuple(samples),
+        statistic,
+        confidence_level=level,
+        n_resamples=resamples,
+        method="percentile",
+        vectorized=True,
+        rng=np.random.default_rng(seed),
+    )
+    bounds = result.confidence_interval
+    return float(bounds.low), float(bounds.high)
 
 
 def _sample(values: npt.ArrayLike) -> npt.NDArray[np.float64]:
