@@ -72,6 +72,16 @@ from hiersched.scenario import ScenarioError, find_scenario, load_scenario
             "gain_study: {calm_delay_s: [0.02, 0.005]}",
             ["gain_study.calm_delay_s = [0.02, 0.005]", "lower bound first"],
         ),
+        ("gain_study: {weight: [7.0, 7.0]}", ["gain_study.weight = [7.0, 7.0]", "value once"]),
+        ("gain_study: {sweep_windows: 1}", ["gain_study.sweep_windows", "greater than or equal"]),
+        (
+            "gain_study: {noise_position_m: [0.0, 0.1]}",
+            ["gain_study.noise_position_m = [0.0, 0.1]", "as many as in", "heading_rad, 4"],
+        ),
+        (
+            "gain_study: {noise_position_m: [0.1, 0.1], noise_heading_rad: [0.2, 0.2]}",
+            ["gain_study.noise_position_m = [0.1, 0.1]: every pair", "[0.2, 0.2] once"],
+        ),
         # Not a scenario at all.
         ("radio: {num_prb: 25", ["not valid YAML", "line 1"]),
         ("- radio", ["a scenario is a mapping of sections, not list"]),

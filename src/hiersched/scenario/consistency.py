@@ -190,6 +190,7 @@ def _studies(scenario: Scenario) -> list[str]:
         for window in study.violation_windows
         if window > study.num_windows
     )
+    faults.extend(_gain_sweeps(scenario))
     for key, (low, high) in (
         ("gain_study.violation_delay_s", study.violation_delay_s),
         ("gain_study.calm_delay_s", study.calm_delay_s),
@@ -205,4 +206,29 @@ def _studies(scenario: Scenario) -> list[str]:
             )
         if len(set(section.policies)) != len(section.policies):
             faults.append(f"{name}.policies = {list(section.policies)}: every policy once")
+    return faults
+
+
+def _gain_sweeps(scenario: Scenario) -> list[str]:
+    study = scenario.gain_study
+    faults = [
+        f"gain_study.{key} = {list(points)}: every value once"
+        for key, points in (
+            ("methods", study.methods),
+            ("weight", study.weight),
+            ("fixed_delay_s", study.fixed_delay_s),
+        )
+        if len(set(points)) != len(points)
+    ]
+    position, heading = study.noise_position_m, study.noise_heading_rad
+    if len(position) != len(heading):
+        faults.append(
+            f"gain_study.noise_position_m = {list(position)}: {len(position)} numbers, must be as "
+            f"many as in gain_study.noise_heading_rad, {len(heading)}"
+        )
+    if len(set(zip(position, heading, strict=False))) != min(len(position), len(heading)):
+        faults.append(
+            f"gain_study.noise_position_m = {list(position)}: every pair with "
+            f"gain_study.noise_heading_rad = {list(heading)} once"
+        )
     return faults

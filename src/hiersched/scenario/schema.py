@@ -14,6 +14,7 @@ NonNegative = Annotated[float, Field(ge=0)]
 Share = Annotated[float, Field(gt=0, lt=1)]
 Count = Annotated[int, Field(ge=1)]
 Seed = Annotated[int, Field(ge=0, lt=2**31)]
+GainMethod = Literal["krasovskii", "razumikhin", "predictor", "latency_compensated", "h2"]
 Reference = Literal["straight", "arc", "figure_eight", "zigzag"]
 PolicyName = Literal[
     "ddpg",
@@ -198,7 +199,7 @@ class Sweeps:
 
 @dataclass(frozen=True, kw_only=True)
 class GainStudy:
-    """Table II: forced delays in chosen windows, nominal against adjusted gain."""
+    """Forced delays, nominal against adjusted gain: Table II and the sweeps around it."""
 
     __pydantic_config__ = _STRICT
     seeds: Annotated[tuple[Seed, ...], NonEmpty]
@@ -207,6 +208,13 @@ class GainStudy:
     violation_windows: Annotated[tuple[Count, ...], NonEmpty]
     violation_delay_s: tuple[Positive, Positive]
     calm_delay_s: tuple[Positive, Positive]
+    methods: Annotated[tuple[GainMethod, ...], NonEmpty]
+    sweep_robots: Count
+    sweep_windows: Annotated[int, Field(ge=2)]
+    weight: Annotated[tuple[Positive, ...], NonEmpty]
+    fixed_delay_s: Annotated[tuple[Positive, ...], NonEmpty]
+    noise_position_m: Annotated[tuple[NonNegative, ...], NonEmpty]
+    noise_heading_rad: Annotated[tuple[NonNegative, ...], NonEmpty]
 
 
 @dataclass(frozen=True, kw_only=True)
