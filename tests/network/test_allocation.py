@@ -122,7 +122,7 @@ def test_greedy_part_is_that_of_the_plain_twin(shape, utility, make_terms):
         value = {
             UTILITY_LOG: lambda u, r, w=weight: w[u] * np.log(r),
             UTILITY_LINEAR: lambda u, r, w=weight: w[u] * r,
-            UTILITY_LAGRANGIAN: lambda u, r, t=terms: -user_lagrangian(t, u, r),
+            UTILITY_LAGRANGIAN: lambda u, r, w=weight, t=terms: -w[u] * user_lagrangian(t, u, r),
         }[utility]
         np.testing.assert_array_equal(
             allocate(utility, rate, weight, terms), greedy_twin(value, rate)

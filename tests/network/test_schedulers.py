@@ -72,6 +72,9 @@ def test_max_weight(schedule):
     assert schedule("max_weight", RATE, backlog_packets=[1.0, 5.0], hol_delay_s=waits) == [0, 1, 1]
     assert schedule("max_weight", RATE, backlog_packets=[5.0, 1.0], hol_delay_s=waits) == [0, 1, 0]
     np.testing.assert_array_equal(weights("max_weight", backlog=[1.0, 5.0]), [1.0, 5.0])
+    # A factor 5 on user 0 makes both equal.
+    given = {"backlog_packets": [1.0, 5.0], "weight": [5.0, 1.0]}
+    assert schedule("max_weight", RATE, **given) == [0, 1, 0]
 
 
 def test_m_lwdf(schedule):
@@ -166,4 +169,8 @@ def test_drift_plus_penalty(schedule):
     # λ = 20 on user 1 prices its delay: 20 (e^(−0.16·3) − e^(−0.16·5.5)) = 4.08 more than 0.508.
     assert schedule(
         "drift_plus_penalty", RATE, penalty_weight=1.0, multiplier=[0.0, 20.0], **given
+    ) == [0, 1, 1]
+    # A factor 10 on user 1: 0.78 more than 0.508.
+    assert schedule(
+        "drift_plus_penalty", RATE, penalty_weight=1.0, weight=[1.0, 10.0], **given
     ) == [0, 1, 1]

@@ -101,7 +101,10 @@ def _row_costs(
 
 @kernel()
 def _lagrangian_costs(
-    rate: NDArray[np.float32], terms: UserTerms, scratch: AssignmentScratch
+    rate: NDArray[np.float32],
+    weight: NDArray[np.float64],
+    terms: UserTerms,
+    scratch: AssignmentScratch,
 ) -> None:
     """Costs of drift plus penalty, brought to 0 and above."""
     cost = scratch.cost
@@ -109,7 +112,7 @@ def _lagrangian_costs(
     least = FAR
     for user in range(num_users):
         for k in range(num_prb):
-            cost[user, k] = user_lagrangian(terms, user, np.float64(rate[user, k]))
+            cost[user, k] = weight[user] * user_lagrangian(terms, user, np.float64(rate[user, k]))
             least = min(least, cost[user, k])
     for user in range(num_users):
         key = LARGEST_KEY
@@ -130,7 +133,7 @@ def _first_costs(
     """Cost of each PRB as a user's only one: the utility lost against the greatest of all."""
     assignment = scratch.assignment
     if utility == UTILITY_LAGRANGIAN:
-        _lagrangian_costs(rate, terms, assignment)
+        _lagrangian_costs(rate, weight, terms, assignment)
         return
     num_users, num_prb = rate.shape
     flat = rate.reshape(-1)
@@ -169,7 +172,7 @@ def _marginal(
     if utility == UTILITY_LINEAR:
         return weight * np.float64(rate)
     after = user_lagrangian(terms, user, have + np.float64(rate))
-    return user_lagrangian(terms, user, have) - after
+    return weight * (user_lagrangian(terms, user, have) - after)
 
 
 @kernel(forceinline=True)
@@ -304,7 +307,7 @@ def allocate_by_utility(
     ----------
     utility
         UTILITY_LOG (w log R: PF when all w are equal), UTILITY_LINEAR (w R) or UTILITY_LAGRANGIAN
-        (minus the slot's drift-plus-penalty Lagrangian of `terms`).
+        (minus w times the user's drift-plus-penalty Lagrangian of `terms`).
     rate
         Rate of each user on each PRB, shape (U, K), Mbit/s.
     weight

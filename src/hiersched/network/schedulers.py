@@ -149,7 +149,8 @@ def schedule_slot(
     rate
         Rate of each user on each PRB, shape (U, K), Mbit/s.
     given_weight
-        Weights of the weighted PF rule, shape (U,).
+        Factors of the users' utilities, shape (U,), 1 for the plain rule; not for round robin and
+        EDF, which have no utility.
     hol_delay_s, average_rate_mbps
         Shape (U,).
     terms, constants
@@ -180,6 +181,8 @@ def schedule_slot(
             index_weights(
                 scheduler, terms.backlog_packets, hol_delay_s, average_rate_mbps, constants, weight
             )
+            for user in range(rate.shape[0]):
+                weight[user] *= given_weight[user]
         # Looked up, not branched on: the compiler would otherwise build the allocator once for each
         # constant.
         allocate_by_utility(_UTILITY_OF[scheduler], rate, weight, terms, scratch, owner)

@@ -115,9 +115,10 @@ def _compute(
         return simulator.run(run.policy, multipliers=multipliers, record=record)
     weights = logged["weight"].astype(np.float64)
     one = simulator.new_record(1)
+    start = run.metadata.get("start", "pf")
     for slot in range(weights.shape[1]):
         now = weights[:, slot].copy()
-        simulator.run("pf", weights=now, multipliers=multipliers, record=one)
+        simulator.run(start, weights=now, multipliers=multipliers, record=one)
         for name in SlotRecord._fields:
             getattr(record, name)[:, slot] = getattr(one, name)[:, 0]
     return record

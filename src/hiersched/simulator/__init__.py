@@ -89,7 +89,7 @@ class Simulator:
         multipliers: NDArray[np.float64] | None = None,
         record: SlotRecord | None = None,
     ) -> SlotRecord:
-        """Run all worlds under a classical scheduler, or under PF with given weights.
+        """Run all worlds under a classical scheduler, plain or with users weighted.
 
         Parameters
         ----------
@@ -98,7 +98,8 @@ class Simulator:
         num_slots
             Slots to run; up to the horizon unless given.
         weights
-            For ``pf``: weights, shape (E, U), held for all these slots; 1 unless given.
+            Factors of the users' utilities, shape (E, U), held for all these slots; 1 unless given.
+            Round robin and EDF have no utility and leave them unused.
         multipliers
             Multiplier of each URLLC user's delay constraint, shape (E, R); 0 unless given.
         record
