@@ -63,7 +63,7 @@ def paper_simulator(worlds: int, slots: int) -> Simulator:
     scenario = load_scenario("paper", defaults=Path("config/defaults.yaml"))
     gain = plant_of(scenario).nominal_gain
     network = np.repeat(gain[None], scenario.max_delay_steps + 1, axis=0)
-    gains = LoopGains(local_gains=np.zeros_like(network), network_gains=network)
+    gains = LoopGains.memoryless(network)
     return Simulator(scenario, gains, world_keys("bench", 1, worlds), slots)
 
 

@@ -44,7 +44,7 @@ def simulator(num_envs: int, num_slots: int = SLOTS) -> Simulator:
     """Worlds of the scenario `paper` with the nominal gain at every delay."""
     scenario = load_scenario(CONFIG / "scenarios/paper.yaml", defaults=CONFIG / "defaults.yaml")
     network = np.repeat(plant_of(scenario).nominal_gain[None], scenario.max_delay_steps + 1, axis=0)
-    gains = LoopGains(local_gains=np.zeros_like(network), network_gains=network)
+    gains = LoopGains.memoryless(network)
     return Simulator(scenario, gains, world_keys("bench", 1, num_envs), num_slots)
 
 

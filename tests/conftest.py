@@ -59,9 +59,7 @@ def nominal_gains() -> Callable[[Scenario], LoopGains]:
         if scenario.control not in made:
             K = plant_of(scenario).nominal_gain
             network = np.repeat(K[None], scenario.max_delay_steps + 1, axis=0)
-            made[scenario.control] = LoopGains(
-                local_gains=np.zeros_like(network), network_gains=network
-            )
+            made[scenario.control] = LoopGains.memoryless(network)
         return made[scenario.control]
 
     return gains

@@ -38,7 +38,7 @@ SHAPE = PathShape(
 
 
 def constants(reference="straight", *, step_s=0.0025, speed_mps=1.0, noise=0.0, max_delay=3,
-              local=None, network=None, limit=(2.0, 4.0)):  # fmt: skip
+              local=None, network=None, inputs=None, limit=(2.0, 4.0)):  # fmt: skip
     table, offset = reference_table(reference, SHAPE, speed_mps, step_s, 4000, 1)
     half = 0.5 * step_s * table.turn_rate_radps
     decay = math.exp(-step_s / LAG_S)
@@ -49,7 +49,8 @@ def constants(reference="straight", *, step_s=0.0025, speed_mps=1.0, noise=0.0, 
         slip_gain_radps=0.0, noise_position_m=noise, noise_heading_rad=2 * noise,
         max_speed_mps=limit[0], max_turn_rate_radps=limit[1], core_latency_s=0.005,
         max_delay_steps=max_delay, local_gain=zeros if local is None else local,
-        network_gain=zeros if network is None else network,
+        network_gain=zeros if network is None else network, has_memory=inputs is not None,
+        input_gain=np.zeros((max_delay + 1, max_delay, 2, 2)) if inputs is None else inputs,
         adjusted_delay_steps=np.zeros(max_delay + 1, np.uint32), speed_mps=speed_mps,
         path=np.stack([table.turn_rate_radps, np.cos(half), np.sin(half),
                        speed_mps * step_s * np.sinc(half / math.pi)], axis=1),
@@ -165,6 +166,12 @@ def random_gains(seed, max_delay=3, size=1.0):
     return size * np.random.default_rng(seed).normal(size=(2, max_delay + 1, 2, 5))
 
 
+def close(robot, sample, delay, states):
+    """Close the loop of the first robot."""
+    of_robot = states.history[0, 0], states.commands[0, 0]
+    return close_loop(robot, sample, delay, 0, states.lanes[0, 0], *of_robot)
+
+
 @given(st.lists(st.integers(0, 3), min_size=8, max_size=20), st.integers(0, 100))
 def test_command_is_the_delayed_feedback_with_the_gain_of_its_delay(delays, seed):
     """u(k) = −K_local[T] y(k) − K_network[T] y(k − T), y the noisy measurement, y = 0 before 0."""
@@ -177,7 +184,7 @@ def test_command_is_the_delayed_feedback_with_the_gain_of_its_delay(delays, seed
         x, normals = rng.normal(size=5), rng.normal(size=5).astype(np.float32)
         put(states.lanes[0, 0], STATE, x, 0)
         put(states.lanes[0, 0], NORMALS, normals, 0)
-        saturated = close_loop(robot, k, delay, 0, states.lanes[0, 0], states.history[0, 0])
+        saturated = close(robot, k, delay, states)
         control = states.field(CONTROL, 2)[0, 0]
         noise = np.array([0.01, 0.01, 0.02, 0.0, 0.0]) * [*normals[2:].astype(float), 0.0, 0.0]
         measured[k] = x + noise
@@ -185,6 +192,27 @@ def test_command_is_the_delayed_feedback_with_the_gain_of_its_delay(delays, seed
         assert np.abs(expected).max() < 2.0
         np.testing.assert_allclose(control, expected, atol=1e-12)
         assert saturated == 0
+
+
+@given(st.lists(st.integers(0, 3), min_size=8, max_size=20), st.integers(0, 100))
+def test_gains_with_memory_see_the_commands_that_were_applied(delays, seed):
+    """u(k) = −G_net[T] y(k−T) − G_loc[T] y(k) − Σ H[T,i] u(k−1−i), cut to its limits."""
+    rng = np.random.default_rng(seed)
+    local, network = random_gains(seed)
+    inputs, limit = rng.normal(size=(4, 3, 2, 2)), np.array([0.5, 3.0])
+    robot = constants(local=local, network=network, inputs=inputs, limit=tuple(limit))
+    states = robot_state(1, 1, 3, 0.7)
+    measured = {k: np.zeros(5) for k in range(-3, 0)}
+    applied = {k: np.zeros(2) for k in range(-4, 0)}
+    for k, T in enumerate(delays):
+        measured[k] = rng.normal(size=5) * 0.3
+        put(states.lanes[0, 0], STATE, measured[k], 0)
+        saturated = close(robot, k, T, states)
+        wanted = -network[T] @ measured[k - T] - local[T] @ measured[k]
+        wanted -= sum(inputs[T, i] @ applied[k - 1 - i] for i in range(3))
+        applied[k] = np.clip(wanted, -limit, limit)
+        np.testing.assert_allclose(states.field(CONTROL, 2)[0, 0], applied[k], atol=1e-12)
+        assert saturated == (np.abs(wanted) > limit).any()
 
 
 def test_commands_stop_at_their_limits_and_say_so():
@@ -199,5 +227,5 @@ def test_commands_stop_at_their_limits_and_say_so():
         ([0.5, 3.0], [-0.5, -3.0], 0),
     ]:
         put(states.lanes[0, 0], STATE, x, 0)
-        got = close_loop(robot, 0, 0, 0, states.lanes[0, 0], states.history[0, 0])
+        got = close(robot, 0, 0, states)
         assert (states.field(CONTROL, 2)[0, 0].tolist(), got) == (control, saturated)

@@ -7,10 +7,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from hiersched.control import Certificate
+from hiersched.control import Certificate, build_schedule
 from hiersched.runs.events import slot_events, stretches
 from hiersched.runs.gains import load_gains
 from hiersched.scenario import Scenario
+from hiersched.simulator.gains import plant_of
 
 
 @given(arrays(np.bool_, st.tuples(st.integers(0, 12), st.integers(0, 3))))
@@ -56,6 +57,22 @@ def test_events_say_where_trouble_begins(tiny: Scenario, designed) -> None:
         (106, "WARNING", "queue", "user 1: head-of-line delay past 20 ms for 1 slots, up to 30 ms"),
         (107, "INFO", "control", "robot 1: 2 saturated commands in 1 slots"),
     ]
+
+
+def test_uncertified_gains_are_reported_while_they_are_in_force(tiny: Scenario) -> None:
+    control = replace(tiny.control, method="predictor")
+    scenario = replace(tiny, control=control)
+    schedule = build_schedule(plant_of(scenario), scenario.max_delay_steps, "predictor")
+    assert schedule.status == ("nominal", "uncertified", "uncertified")
+    fields = quiet(4)
+    fields["delay_steps"][1:3, 0] = 1
+    (event,) = slot_events(scenario, schedule, fields)
+    assert (event.slot, event.level, event.name) == (1, "WARNING", "gain")
+    assert event.message == (
+        "robot 0: no certified gain for T = 1, a gain without certificate in force for 2 slots"
+    )
+    nominal = replace(scenario, control=replace(control, gain="nominal"))
+    assert slot_events(nominal, schedule, fields) == []
 
 
 def test_gains_without_certificate_are_reported(tiny: Scenario, designed) -> None:

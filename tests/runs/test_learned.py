@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +18,7 @@ from hiersched.runs.policies import seed_worlds
 from hiersched.runs.train import train_and_log
 from hiersched.scenario import Scenario
 from hiersched.simulator import Simulator
+from hiersched.simulator.gains import LoopGains
 
 EPISODES, SLOTS = 6, 10
 
@@ -127,6 +127,5 @@ def test_world_i_runs_the_policy_of_training_seed_i(
 
 def test_fewer_worlds_than_policies(tiny: Scenario, trained: Path) -> None:
     runner = LearnedRunner([trained / name for name in paths.policy_files(tiny)])
-    gain = np.zeros((tiny.max_delay_steps + 1, 2, 5))
-    gains = SimpleNamespace(local_gains=gain, network_gains=gain)
+    gains = LoopGains.memoryless(np.zeros((tiny.max_delay_steps + 1, 2, 5)))
     assert [run.seed for run in runner(tiny, gains, "ddpg", "evaluate", (5,), 2)] == [5]

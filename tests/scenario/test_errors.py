@@ -59,6 +59,13 @@ from hiersched.scenario import ScenarioError, find_scenario, load_scenario
         ("sweeps: {sampling_s: [0.02, 0.021]}", ["sweeps.sampling_s = 0.021", "multiple of"]),
         ("robot: {window_s: 0.015}", ["robot.window_s = 0.015", "radio.slot_s = 0.01"]),
         ("control: {method: razumikhin}", ["control.method = 'razumikhin'", "plant = 'split'"]),
+        *(
+            (
+                f"control: {{method: {method}, plant: split}}",
+                [f"control.method = '{method}'", "plant = 'network'"],
+            )
+            for method in ("predictor", "latency_compensated", "h2")
+        ),
         ("learning: {episodes: 3}", ["learning.num_envs = 16", "learning.episodes = 3"]),
         ("learning: {batch_size: 99999}", ["batch_size = 99999", "replay_capacity = 16000"]),
         ("evaluate: {seeds: [101, 101]}", ["evaluate.seeds = [101, 101]", "every seed once"]),

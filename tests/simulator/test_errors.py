@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -50,8 +52,10 @@ def test_number_of_worlds(make_simulator):
 def test_gains_of_another_horizon(make_simulator, smoke_scenario):
     needed = smoke_scenario.max_delay_steps + 1
     for local, network, name in ((needed, 2, "network"), (needed + 1, needed, "local")):
-        gains = LoopGains(
-            local_gains=np.zeros((local, 2, 5)), network_gains=np.zeros((network, 2, 5))
+        gains = replace(
+            LoopGains.memoryless(np.zeros((needed, 2, 5))),
+            local_gains=np.zeros((local, 2, 5)),
+            network_gains=np.zeros((network, 2, 5)),
         )
         with pytest.raises(ValueError, match=rf"{name}_gains: shape .* must be \({needed}, 2, 5\)"):
             make_simulator(gains=gains)

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from hiersched.control import build_schedule
 from hiersched.robot.dynamics import SLIP, STATE
-from hiersched.simulator.gains import LoopGains, plant_of
+from hiersched.simulator.gains import LoopGains, loop_gains, plant_of
 
 STILL = {
     "slip_speed_mps": 0.0,
@@ -25,8 +28,7 @@ def test_command_uses_the_delayed_state_and_the_gain_of_its_delay(make_simulator
     """Samples every second slot: u = −K[T] x at the end of slot 2 (k − T) − 1, without noise."""
     count = smoke_scenario.max_delay_steps + 1
     rng = np.random.default_rng(1)
-    gains = LoopGains(local_gains=np.zeros((count, 2, 5)),
-                      network_gains=rng.normal(size=(count, 2, 5)))  # fmt: skip
+    gains = LoopGains.memoryless(rng.normal(size=(count, 2, 5)))
     quiet = {**STILL, "slip_speed_mps": 0.05, "slip_turn_rate_radps": 0.2, **FREE}
     simulator = make_simulator(1, 60, gains=gains, robot=quiet)
     delay_s = rng.uniform(0.0, 0.3, (1, 60, 4))
@@ -50,14 +52,57 @@ def test_command_uses_the_delayed_state_and_the_gain_of_its_delay(make_simulator
                 np.testing.assert_allclose(got, expected, rtol=1e-12, atol=1e-15)
 
 
+def test_a_predictor_undoes_the_delay(make_simulator, smoke_scenario):
+    """Slot loop against x⁺ = A x + B u in NumPy: tiny errors, so linear; delays that vary."""
+    scenario = replace(smoke_scenario, control=replace(smoke_scenario.control, method="predictor"))
+    plant = plant_of(scenario)
+    gains = loop_gains(build_schedule(plant, scenario.max_delay_steps, "predictor"), "adjusted")
+    robot = {**STILL, **FREE, "reference": "straight"}
+    simulator = make_simulator(1, 80, gains=gains, robot=robot, control={"method": "predictor"})
+    start = 1e-5 * np.array([1.0, -2.0, 1.5, 0.0, 0.0])
+    simulator.state.robots.set_state(start)
+    delay_s = 0.02 * np.repeat(np.random.default_rng(6).integers(0, 13, (1, 40, 4)), 2, axis=1)
+    record = simulator.run_robots(delay_s)
+    for robot_index in range(4):
+        x = [np.zeros(5)] * 13 + [start]
+        u = [np.zeros(2)] * 13
+        for k in range(40):
+            T = int(record.delay_steps[0, 2 * k, robot_index])
+            command = -gains.network_gains[T] @ x[-1 - T]
+            command -= sum(gains.input_gains[T, i] @ u[-1 - i] for i in range(T))
+            u.append(command)
+            x.append(plant.A @ x[-1] + plant.B @ command)
+            np.testing.assert_allclose(
+                record.control[0, 2 * k, robot_index], command, rtol=2e-3, atol=1e-8
+            )
+        np.testing.assert_allclose(record.state[0, -1, robot_index], x[-1], rtol=2e-3, atol=1e-9)
+    late = record.gain_delay_steps[:, 1::2] == record.delay_steps[:, 1::2]
+    assert late.all()
+
+
+def test_the_nominal_tables_are_the_schedules_nominal_gain(smoke_scenario):
+    """Also where the schedule's own entry for T = 0 is another gain."""
+    control = replace(smoke_scenario.control, plant="split", method="razumikhin", max_delay_s=0.02)
+    scenario = replace(smoke_scenario, control=control)
+    schedule = build_schedule(plant_of(scenario), 1, "razumikhin", decay_rate=0.06)
+    assert (schedule.gains[0] != schedule.nominal).any()
+    nominal, adjusted = (loop_gains(schedule, gain) for gain in ("nominal", "adjusted"))
+    np.testing.assert_array_equal(nominal.local_gains, [schedule.nominal] * 2)
+    np.testing.assert_array_equal(adjusted.local_gains, schedule.gains)
+    np.testing.assert_array_equal(nominal.network_gains, [schedule.operator_gain] * 2)
+    assert not nominal.adjusted.any()
+    assert adjusted.adjusted.all()
+
+
 def test_the_log_says_which_gain_is_in_force(make_simulator, smoke_scenario):
     """0 stands for the nominal gain: configured so, or K̂(T) = K, as where no gain is feasible."""
     count = smoke_scenario.max_delay_steps + 1
     network = np.random.default_rng(4).normal(size=(count, 2, 5)) * 0.1
     network[[1, 3]] = network[0]
-    gains = LoopGains(local_gains=np.zeros_like(network), network_gains=network)
+    gains = LoopGains.memoryless(network)
     delay_s = np.repeat(np.random.default_rng(5).uniform(0.0, 0.2, (1, 20, 4)), 2, axis=1)
-    nominal = make_simulator(1, 40, gains=gains, control={"gain": "nominal"}).run_robots(delay_s)
+    constant = LoopGains.memoryless(np.repeat(network[:1], count, axis=0))
+    nominal = make_simulator(1, 40, gains=constant).run_robots(delay_s)
     adjusted = make_simulator(1, 40, gains=gains).run_robots(delay_s)
     assert not nominal.gain_delay_steps.any()
     steps = adjusted.delay_steps
@@ -65,22 +110,6 @@ def test_the_log_says_which_gain_is_in_force(make_simulator, smoke_scenario):
     np.testing.assert_array_equal(adjusted.gain_delay_steps, expected)
     assert (steps == 3).any()
     assert (expected > 3).any()
-
-
-def test_nominal_gain_ignores_the_delay(make_simulator, smoke_scenario):
-    count = smoke_scenario.max_delay_steps + 1
-    changing = np.random.default_rng(2).normal(size=(count, 2, 5)) * 0.1
-    zeros = np.zeros_like(changing)
-    constant = np.repeat(changing[:1], count, axis=0)
-    delay_s = np.random.default_rng(3).uniform(0.0, 0.2, (1, 40, 4))
-    records = [
-        make_simulator(
-            1, 40, gains=LoopGains(local_gains=zeros, network_gains=gains), control={"gain": kind}
-        ).run_robots(delay_s)
-        for gains, kind in ((changing, "nominal"), (constant, "adjusted"), (changing, "adjusted"))
-    ]
-    np.testing.assert_array_equal(records[0].state, records[1].state)
-    assert not np.array_equal(records[0].state, records[2].state)
 
 
 def test_saturation_is_counted_and_holds(make_simulator):

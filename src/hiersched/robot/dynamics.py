@@ -41,9 +41,10 @@ class RobotConstants(NamedTuple):
 
     `adjusted_delay_steps`, shape (T_max + 1,), is T where the gain for T is adjusted, 0 where it is
     nominal. `local_gain` and `network_gain`, shape (T_max + 1, 2, 5), act on the present and on the
-    delayed measurement. `path`, shape (N, 4), describes the reference in each step: turn rate,
-    cosine and sine of half the step's turn, chord; `offset`, shape (R,), is where each robot starts
-    in it.
+    delayed measurement, `input_gain`, shape (T_max + 1, T_max, 2, 2), on past commands, the newest
+    first; `has_memory` says whether any of it is not 0. `path`, shape (N, 4), describes the
+    reference in each step: turn rate, cosine and sine of half the step's turn, chord; `offset`,
+    shape (R,), is where each robot starts in it.
     """
 
     step_s: float
@@ -64,6 +65,8 @@ class RobotConstants(NamedTuple):
     max_delay_steps: int
     local_gain: NDArray[np.float64]
     network_gain: NDArray[np.float64]
+    input_gain: NDArray[np.float64]
+    has_memory: bool
     adjusted_delay_steps: NDArray[np.uint32]
     speed_mps: float
     path: NDArray[np.float64]
@@ -77,12 +80,14 @@ class RobotState(NamedTuple):
     `lanes` (E, blocks, 18 LANES) holds, for blocks of LANES robots, state (5), slip (2), control
     (2), sums over the window (3), the slot's sum of squared position errors and its standard
     normals (5), each LANES times. `history` (E, R, T_max + 1, 5) is the ring of measured states,
+    `commands` (E, R, T_max + 1, 2) that of applied commands, kept for gains with memory only,
     `dexterity_index` (E, R) the one in force, `gain_delay_steps` (E, R) the delay whose adjusted
     gain is in force, 0 for the nominal gain.
     """
 
     lanes: NDArray[np.float64]
     history: NDArray[np.float64]
+    commands: NDArray[np.float64]
     dexterity_index: NDArray[np.float64]
     gain_delay_steps: NDArray[np.uint32]
 
@@ -109,6 +114,7 @@ def robot_state(
     return RobotState(
         lanes=np.zeros((num_envs, -(-num_robots // LANES), _END)),
         history=np.zeros((num_envs, num_robots, max_delay_steps + 1, NUM_STATES)),
+        commands=np.zeros((num_envs, num_robots, max_delay_steps + 1, NUM_INPUTS)),
         dexterity_index=np.full((num_envs, num_robots), initial_dexterity_index),
         gain_delay_steps=np.zeros((num_envs, num_robots), np.uint32),
     )
@@ -150,6 +156,18 @@ def start_slot(constants: RobotConstants, lanes: NDArray[np.float64]) -> None:
         lanes[SLOT_SQUARE + lane] = 0.0
 
 
+@kernel()
+def recall(gain: NDArray[np.float64], sample: int, commands: NDArray[np.float64]) -> float:
+    """Sum_i H_i u(k-1-i) of one input: gain (T_max, m), ring of commands (T_max + 1, m)."""
+    ring = commands.shape[0]
+    total = 0.0
+    for i in range(gain.shape[0]):
+        past = commands[(sample - 1 - i) % ring]
+        for j in range(gain.shape[1]):
+            total += gain[i, j] * past[j]
+    return total
+
+
 @kernel(forceinline=True)
 def close_loop(
     constants: RobotConstants,
@@ -158,8 +176,11 @@ def close_loop(
     lane: int,
     lanes: NDArray[np.float64],
     history: NDArray[np.float64],
+    commands: NDArray[np.float64],
 ) -> int:
-    """Measure one robot and set u(k) = -K_local x(k) - K_network x(k - T_d), gains of T_d.
+    """Measure one robot and set u(k) = -K_local x(k) - K_network x(k-T_d) - sum_i H_i u(k-1-i).
+
+    The gains are those of T_d.
 
     Parameters
     ----------
@@ -175,6 +196,8 @@ def close_loop(
         Its block; the last three normals are the measurement noise, the control is written.
     history
         Its measured states, shape (T_max + 1, 5); that of this sample is written.
+    commands
+        Its applied commands, shape (T_max + 1, 2); likewise, if the gains have a memory.
 
     Returns
     -------
@@ -201,11 +224,16 @@ def close_loop(
         command = 0.0
         for j in range(NUM_STATES):
             command -= network[j] * past[j] + local[j] * now[j]
+        if constants.has_memory:
+            command -= recall(constants.input_gain[delay_steps, :, i], sample, commands)
         limit = constants.max_speed_mps if i == 0 else constants.max_turn_rate_radps
         if abs(command) > limit:
             command = limit if command > 0.0 else -limit
             saturated = 1
         lanes[CONTROL + i * LANES + lane] = command
+    if constants.has_memory:
+        for i in range(NUM_INPUTS):
+            commands[sample % ring, i] = lanes[CONTROL + i * LANES + lane]
     return saturated
 
 

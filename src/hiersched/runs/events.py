@@ -12,6 +12,9 @@ from hiersched.control import GainSchedule
 from hiersched.log import Event
 from hiersched.scenario import Scenario
 
+_UNPROVEN = {"infeasible": "nominal gain", "uncertified": "a gain without certificate"}
+"""Status of an entry of the schedule without certificate -> the gain that it puts into force."""
+
 
 def slot_events(
     scenario: Scenario,
@@ -26,7 +29,7 @@ def slot_events(
     scenario
         Deadlines and sampling interval.
     schedule
-        Says at which delays no certified gain exists.
+        Says at which delays the gain in force is not certified.
     fields
         Fields of `SlotRecord`, leading axis (T,).
     first_slot
@@ -40,7 +43,7 @@ def slot_events(
     events = [
         *_late_users(scenario, fields),
         *_capped_delays(scenario, fields),
-        *_infeasible_gains(schedule, fields),
+        *_unproven_gains(scenario, schedule, fields),
         *_saturated_controls(fields),
     ]
     events.sort(key=lambda event: event.slot)
@@ -87,21 +90,21 @@ def _capped_delays(scenario: Scenario, fields: Mapping[str, NDArray[Any]]) -> It
         )
 
 
-def _infeasible_gains(
-    schedule: GainSchedule, fields: Mapping[str, NDArray[Any]]
+def _unproven_gains(
+    scenario: Scenario, schedule: GainSchedule, fields: Mapping[str, NDArray[Any]]
 ) -> Iterator[Event]:
-    infeasible = np.array([status == "infeasible" for status in schedule.status])
-    if not infeasible.any():
-        return
-    steps = fields["delay_steps"]
-    for robot, start, stop in stretches(infeasible[steps]):
-        yield Event(
-            start,
-            "WARNING",
-            "gain",
-            f"robot {robot}: no certified gain for T = {steps[start, robot]}, nominal gain in "
-            f"force for {stop - start} slots",
-        )
+    status, steps = np.array(schedule.status), fields["delay_steps"]
+    for kind, what in _UNPROVEN.items():
+        if kind == "uncertified" and scenario.control.gain == "nominal":
+            continue  # that gain is not in force
+        for robot, start, stop in stretches((status == kind)[steps]):
+            yield Event(
+                start,
+                "WARNING",
+                "gain",
+                f"robot {robot}: no certified gain for T = {steps[start, robot]}, {what} in force "
+                f"for {stop - start} slots",
+            )
 
 
 def _saturated_controls(fields: Mapping[str, NDArray[Any]]) -> Iterator[Event]:

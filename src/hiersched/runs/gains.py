@@ -61,9 +61,4 @@ def load_gains(path: Path, scenario: Scenario) -> tuple[GainSchedule, LoopGains]
             f"({control.method}, {control.plant} plant, sampling {control.sampling_s:g} s, "
             f"T_max {scenario.max_delay_steps})"
         )
-    gains = loop_gains(schedule, plant)
-    # A schedule's own array is read-only: another type, for which the slot loop would be
-    # compiled once more.
-    return schedule, LoopGains(
-        local_gains=gains.local_gains.copy(), network_gains=gains.network_gains.copy()
-    )
+    return schedule, loop_gains(schedule, control.gain)

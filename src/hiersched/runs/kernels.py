@@ -14,8 +14,7 @@ from hiersched.simulator.gains import LoopGains
 def compile_kernels() -> None:
     """Compile every kernel that a stage calls, by running two slots of the smallest scenario."""
     scenario = load_scenario("smoke")
-    shape = (scenario.max_delay_steps + 1, 2, 5)
-    gains = LoopGains(local_gains=np.zeros(shape), network_gains=np.zeros(shape))
+    gains = LoopGains.memoryless(np.zeros((scenario.max_delay_steps + 1, 2, 5)))
     keys = world_keys("compile", 0, 1)
     Simulator(scenario, gains, keys, 2).run("pf")
     delays = forced_delays(scenario, keys, 2, scenario.users.num_urllc)

@@ -16,6 +16,8 @@ MAX_MEAN_BATCHES = 600.0
 """The Poisson quantile's limit (`network.traffic.MAX_MEAN`; a test holds them equal), without the
 half second that importing the kernels takes."""
 MAX_DELAY_STEPS = 200
+NETWORK_METHODS = ("predictor", "latency_compensated", "h2")
+"""Gain methods for plants whose whole feedback crosses the network."""
 
 
 def inconsistencies(scenario: Scenario) -> list[str]:
@@ -24,6 +26,7 @@ def inconsistencies(scenario: Scenario) -> list[str]:
         *_users(scenario),
         *_link_budget(scenario),
         *_times(scenario),
+        *_control(scenario),
         *_arrivals(scenario),
         *_learning(scenario),
         *_studies(scenario),
@@ -108,12 +111,22 @@ def _times(scenario: Scenario) -> list[str]:
             f"control.max_delay_s = {scenario.control.max_delay_s}: {longest} samples at the "
             f"shortest sampling interval, at most {MAX_DELAY_STEPS} (one gain is designed for each)"
         )
-    if scenario.control.method == "razumikhin" and scenario.control.plant == "network":
-        faults.append(
+    return faults
+
+
+def _control(scenario: Scenario) -> list[str]:
+    control = scenario.control
+    if control.method == "razumikhin" and control.plant == "network":
+        return [
             "control.method = 'razumikhin': needs control.plant = 'split' (a plant with an "
             "eigenvalue on the unit circle whose whole feedback is delayed has no such certificate)"
-        )
-    return faults
+        ]
+    if control.method in NETWORK_METHODS and control.plant != "network":
+        return [
+            f"control.method = {control.method!r}: needs control.plant = 'network' (it replaces "
+            "the whole feedback by one made for the delay)"
+        ]
+    return []
 
 
 def _arrivals(scenario: Scenario) -> list[str]:

@@ -138,7 +138,7 @@ class Control:
     max_delay_s: Positive
     plant: Literal["network", "split"]
     operator_share: Annotated[float, Field(gt=0, le=1)]
-    method: Literal["krasovskii", "razumikhin"]
+    method: GainMethod
     decay_rate: Annotated[float, Field(ge=0, lt=1)]
     gain: Literal["adjusted", "nominal"]
 

@@ -260,7 +260,13 @@ def _drive_robots(
                     robot = begin + lane
                     step_delay = int(delay_steps[robot])
                     saturated[robot] += close_loop(
-                        robots, sample, step_delay, lane, lanes, state.robots.history[env, robot]
+                        robots,
+                        sample,
+                        step_delay,
+                        lane,
+                        lanes,
+                        state.robots.history[env, robot],
+                        state.robots.commands[env, robot],
                     )
                     state.robots.gain_delay_steps[env, robot] = robots.adjusted_delay_steps[
                         step_delay

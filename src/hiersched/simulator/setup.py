@@ -30,7 +30,7 @@ from hiersched.simulator.users import (
 
 
 class Gains(Protocol):
-    """What the slot loop needs of a schedule: gains for T = 0 … T_max, (T_max + 1, 2, 5) each."""
+    """What the slot loop needs of a schedule: tables for T = 0 … T_max (`simulator.gains`)."""
 
     @property
     def local_gains(self) -> NDArray[np.float64]:
@@ -40,6 +40,16 @@ class Gains(Protocol):
     @property
     def network_gains(self) -> NDArray[np.float64]:
         """Gains on the delayed measurement."""
+        ...
+
+    @property
+    def input_gains(self) -> NDArray[np.float64]:
+        """Gains on past commands, the newest first."""
+        ...
+
+    @property
+    def adjusted(self) -> NDArray[np.bool_]:
+        """Whether an entry is another gain than the nominal one."""
         ...
 
 
@@ -205,18 +215,7 @@ def robot_constants(
     step_s = robot.substep_s
     steps_per_slot = round(slot_s / step_s)
     needed = scenario.max_delay_steps + 1
-    local = np.ascontiguousarray(gains.local_gains)
-    network = np.ascontiguousarray(gains.network_gains)
-    for name, array in (("local_gains", local), ("network_gains", network)):
-        if array.shape != (needed, 2, 5):
-            raise ValueError(f"{name}: shape {array.shape}, must be {(needed, 2, 5)}")
-    if control.gain == "nominal":
-        # The schedule's entry for delay 0 is the nominal gain, whatever the delay.
-        local, network = (
-            np.repeat(local[:1], needed, axis=0),
-            np.repeat(network[:1], needed, axis=0),
-        )
-    differs = (local != local[:1]).any(axis=(1, 2)) | (network != network[:1]).any(axis=(1, 2))
+    tables = _gain_tables(gains, needed)
     shape = PathShape(
         arc_radius_m=robot.arc_radius_m,
         eight_half_width_m=robot.eight_half_width_m,
@@ -248,9 +247,9 @@ def robot_constants(
         max_turn_rate_radps=robot.max_turn_rate_radps,
         core_latency_s=robot.core_latency_s,
         max_delay_steps=scenario.max_delay_steps,
-        local_gain=local,
-        network_gain=network,
-        adjusted_delay_steps=np.where(differs, np.arange(needed), 0).astype(np.uint32),
+        **tables,
+        has_memory=bool(tables["input_gain"].any()),
+        adjusted_delay_steps=np.where(gains.adjusted, np.arange(needed), 0).astype(np.uint32),
         speed_mps=robot.speed_mps,
         path=np.stack(
             [
@@ -264,6 +263,22 @@ def robot_constants(
         pose=table.pose,
         offset=offset,
     )
+
+
+def _gain_tables(gains: Gains, needed: int) -> dict[str, NDArray[np.float64]]:
+    """Gain tables of `RobotConstants` by name, for `needed` delays."""
+    shapes = {
+        "local_gains": (needed, 2, 5),
+        "network_gains": (needed, 2, 5),
+        "input_gains": (needed, needed - 1, 2, 2),
+    }
+    tables = {}
+    for name, shape in shapes.items():
+        table = np.ascontiguousarray(getattr(gains, name))
+        if table.shape != shape:
+            raise ValueError(f"{name}: shape {table.shape}, must be {shape}")
+        tables[name.removesuffix("s")] = table
+    return tables
 
 
 def initial_state(scenario: Scenario, keys: NDArray[np.uint64], num_slots: int) -> SlotState:
