@@ -165,6 +165,11 @@ def _learning(scenario: Scenario) -> list[str]:
             f"learning.replay_capacity = {learning.replay_capacity}: at least "
             f"learning.num_envs * learning.slots_per_episode = {round_slots}"
         )
+    if learning.start == "drift_plus_penalty" and learning.algorithm == "ddpg":
+        faults.append(
+            "learning.start = drift_plus_penalty: must be pf or max_weight with learning.algorithm "
+            "= ddpg, whose actors need the gradient of the allocation"
+        )
     if learning.batch_size > learning.replay_capacity:
         faults.append(
             f"learning.batch_size = {learning.batch_size}: at most learning.replay_capacity = "

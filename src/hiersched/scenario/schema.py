@@ -148,9 +148,12 @@ class Learning:
     """The two agents and how they are trained."""
 
     __pydantic_config__ = _STRICT
-    algorithm: Literal["ddpg"]
-    network: Literal["shared"]
+    algorithm: Literal["ddpg", "a2c"]
+    network: Literal["shared", "mlp"]
+    start: Literal["pf", "max_weight", "drift_plus_penalty"]
     reward: Literal["cooperative", "independent"]
+    task_weight: NonNegative
+    observe_robots: bool
     seeds: Annotated[tuple[Seed, ...], NonEmpty]
     episodes: Count
     slots_per_episode: Count
@@ -159,6 +162,8 @@ class Learning:
     weight_exponent: Annotated[float, Field(gt=0, le=20)]
     reward_scale: Positive
     discount: Annotated[float, Field(ge=0, lt=1)]
+    rollout_slots: Count
+    gae_decay: Annotated[float, Field(ge=0, le=1)]
     batch_size: Count
     replay_capacity: Count
     warmup_slots: Annotated[int, Field(ge=0)]
