@@ -20,6 +20,7 @@ rule all:
     input:
         [f"{folder(s)}/{paths.SCENARIO}" for s in SCENARIOS],
         [name for s in SCENARIOS for name in inside(s, paths.all_logs(s))],
+        [f"{folder(s)}/{name}" for s in SCENARIOS for name in paths.CLAIMS],
         [f"{folder(s)}/figures/{name}.svg" for s in SCENARIOS for name in paths.FIGURES],
         [f"{folder(s)}/tables/{name}.csv" for s in SCENARIOS for name in paths.TABLES],
     message:

@@ -20,7 +20,7 @@ from hiersched.scenario import Scenario, load_scenario
 pytestmark = pytest.mark.slow
 
 SMOKE = "config/scenarios/smoke.yaml"
-ALWAYS = {"aggregate", "figures"}
+ALWAYS = {"aggregate", "claims", "figures"}
 LEARNED = {"train", "evaluate_ddpg", *(f"sweep_{axis}_ddpg" for axis in SWEPT_KEYS)}
 CLASSICAL = {"evaluate_classical", *(f"sweep_{axis}_classical" for axis in SWEPT_KEYS)}
 EVERY_RUN = {*LEARNED, *CLASSICAL, "gain_study"}
@@ -56,6 +56,8 @@ def outputs(scenario: Scenario) -> list[str]:
         *paths.all_gain_files(scenario),
         *paths.policy_files(scenario),
         *paths.all_logs(scenario),
+        paths.RUNS,
+        *paths.CLAIMS,
         *(f"figures/{name}.{end}" for name in paths.FIGURES for end in ("svg", "png")),
         *(f"tables/{name}.{end}" for name in paths.TABLES for end in ("csv", "md")),
     ]

@@ -1,9 +1,10 @@
-# Tables and figures, from the logs alone.
+# Tables and figures, from the logs and the stability regions alone.
 
 
 rule aggregate:
     input:
         logs=lambda w: inside(BY_NAME[w.scenario], paths.all_logs(BY_NAME[w.scenario])),
+        stability=f"results/{{scenario}}/{paths.STABILITY}",
     output:
         csv=[
             report(
@@ -19,6 +20,7 @@ rule aggregate:
             ensure(f"results/{{scenario}}/tables/{name}.md", non_empty=True)
             for name in paths.TABLES
         ],
+        runs=ensure(f"results/{{scenario}}/{paths.RUNS}", non_empty=True),
     log:
         "results/{scenario}/logs/aggregate.log",
     benchmark:
@@ -38,6 +40,7 @@ rule aggregate:
 rule figures:
     input:
         logs=lambda w: inside(BY_NAME[w.scenario], paths.all_logs(BY_NAME[w.scenario])),
+        stability=f"results/{{scenario}}/{paths.STABILITY}",
     output:
         svg=[
             report(
@@ -65,5 +68,36 @@ rule figures:
         args=lambda w: arguments("figures", BY_NAME[w.scenario]),
     message:
         "Drawing the figures of {wildcards.scenario}"
+    shell:
+        "{sys.executable} {params.args} > {log} 2>&1"
+
+
+rule claims:
+    input:
+        runs=f"results/{{scenario}}/{paths.RUNS}",
+        logs=lambda w: inside(BY_NAME[w.scenario], paths.claim_logs(BY_NAME[w.scenario])),
+    output:
+        [
+            report(
+                ensure(f"results/{{scenario}}/{name}", non_empty=True),
+                caption="../report/claims.rst",
+                category="{scenario}",
+                subcategory="Claims",
+                labels={"claims": name},
+            )
+            for name in paths.CLAIMS
+        ],
+    log:
+        "results/{scenario}/logs/claims.log",
+    benchmark:
+        "results/{scenario}/benchmarks/claims.tsv"
+    threads: 1
+    params:
+        spec=lambda w: spec.stage_spec(
+            "claims", spec.scenario_values(BY_NAME[w.scenario]), script("claims")
+        ),
+        args=lambda w: arguments("claims", BY_NAME[w.scenario]),
+    message:
+        "Judging the paper's claims in {wildcards.scenario}"
     shell:
         "{sys.executable} {params.args} > {log} 2>&1"

@@ -22,6 +22,9 @@ SCENARIO = "scenario.yaml"
 CHECKPOINTS = "checkpoints"
 PROGRESS = f"train/{LEARNED_GROUP}/progress.csv"
 
+RUNS = "tables/runs.csv"
+CLAIMS = ("claims.json", "claims.md")
+
 FIGURES = (
     "fig2_rewards",
     "fig3_queues",
@@ -134,6 +137,11 @@ def study_gain_files(scenario: Scenario) -> list[str]:
     """List the gain schedules of the gain study."""
     variants = [study_scenario(scenario, method, "adjusted") for method in STUDY_PLANTS]
     return [gain_file(design_of(scenario, variant)) for variant in variants]
+
+
+def claim_logs(scenario: Scenario) -> list[str]:
+    """List the logs that the claims read besides the table of all runs."""
+    return [*training_logs(scenario), *gain_study_logs(scenario)]
 
 
 def all_logs(scenario: Scenario) -> list[str]:

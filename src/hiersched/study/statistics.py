@@ -204,18 +204,18 @@ def probability_of_improvement(
     ValueError
         If a sample is empty.
     """
-    samples = [_sample(values), _sample(baseline)]
-    if any(np.isnan(sample).any() for sample in samples):
+    own, other = _sample(values), _sample(baseline)
+    if np.isnan(own).any() or np.isnan(other).any():
         return Interval(math.nan, math.nan, math.nan)
 
     def share_below(a: Any, b: Any, axis: int = -1) -> Any:
         pairs = np.expand_dims(a, -1) - np.expand_dims(b, -2)
         return ((pairs < 0.0) + 0.5 * (pairs == 0.0)).mean(axis=(-2, -1))
 
-    estimate = float(share_below(*samples))
-    if min(map(len, samples)) < 2:
+    estimate = float(share_below(own, other))
+    if min(len(own), len(other)) < 2:
         return Interval(estimate, math.nan, math.nan)
-    return Interval(estimate, *_percentiles(samples, share_below, level, resamples, seed))
+    return Interval(estimate, *_percentiles([own, other], share_below, level, resamples, seed))
 
 
 def effect_size(differences: npt.ArrayLike) -> float:

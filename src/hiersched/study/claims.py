@@ -1,0 +1,299 @@
+"""The ten claims of the paper, each judged by the logs of a study.
+
+The margins are read from the words of the claims and stay as they are whatever comes out:
+"comparable" is within 10 %, "hardly" within 5 % over a whole axis for rates (10 % for queues, which
+vary more), "far less" is less than half.
+"""
+
+from __future__ import annotations
+
+import pandas as pd
+
+from hiersched.scenario import Scenario
+from hiersched.study.collect import BASELINE
+from hiersched.study.conditions import Frames, evaluated, swept, trained
+from hiersched.study.measured import (
+    PAIRED,
+    decrease,
+    difference,
+    doublings,
+    ends,
+    in_the_same_worlds,
+    percent,
+    ratio,
+    settling,
+    slope,
+    tenths_of_dexterity,
+)
+from hiersched.study.verdicts import (
+    Claim,
+    Condition,
+    Statement,
+)
+
+COMPARABLE = 0.10
+HARDLY = 0.05
+HARDLY_QUEUE = 0.10
+FAR_LESS = 0.5
+
+
+def judge(frames: Frames, scenario: Scenario) -> list[Claim]:
+    """Return the ten claims, in the paper's order.
+
+    A claim is not judged where the scenario runs no learned policy, no proportional fair, a single
+    value of the axis or a single round of training.
+    """
+    return [build(frames, scenario) for build in _CLAIMS]
+
+
+def _rewards(frames: Frames, scenario: Scenario) -> Claim:
+    block = scenario.learning.num_envs
+
+    def measure(training: pd.DataFrame) -> tuple[Statement, ...]:
+        statements = []
+        for part, label in PAIRED:
+            rise, rest = settling(training, f"{part}_reward", block)
+            statements += [
+                rise.statement(f"{label} reward, last fifth − first fifth", "1", above=0.0),
+                rest.statement(
+                    f"{label} reward, (last − last but one fifth) / rise",
+                    "1",
+                    above=-COMPARABLE,
+                    below=COMPARABLE,
+                ),
+            ]
+        return tuple(statements)
+
+    base, others = trained(frames, measure, block)
+    return Claim(
+        number=1,
+        reference="Fig. 2",
+        paper="the rewards of both agents converge",
+        measured="Mean reward over fifths of the training, paired over seeds: it has risen from "
+        f"the first to the last, and the last step is within {percent(COMPARABLE)} of that rise.",
+        base=base,
+        others=others,
+        unswept="Training is not repeated along the sweeps.",
+    )
+
+
+def _queues(frames: Frames, scenario: Scenario) -> Claim:
+    block = scenario.learning.num_envs
+
+    def measure(training: pd.DataFrame) -> tuple[Statement, ...]:
+        return tuple(
+            decrease(training, f"{part}_backlog_packets", block).statement(
+                f"{label} queue, last fifth − first fifth", "packets", below=0.0
+            )
+            for part, label in PAIRED
+        )
+
+    base, others = trained(frames, measure, block)
+    return Claim(
+        number=2,
+        reference="Fig. 3",
+        paper="the queues of both slices shrink over training",
+        measured="Mean backlog per user, last fifth of training minus first, paired over seeds.",
+        base=base,
+        others=others,
+        unswept="Training is not repeated along the sweeps.",
+    )
+
+
+def _slices(frames: Frames, scenario: Scenario) -> Claim:
+    def measure(runs: pd.DataFrame, policy: str) -> tuple[Statement, ...]:
+        own = runs[runs["policy"] == policy]
+        sample = difference(own["embb_rate_mbps"], own["urllc_rate_mbps"])
+        return (sample.statement("eMBB rate − URLLC rate", "Mbit/s", above=0.0),)
+
+    base, others = evaluated(frames, scenario, measure, beside=True)
+    return Claim(
+        number=3,
+        reference="Fig. 4",
+        paper="the distribution of eMBB rates lies right of that of URLLC rates",
+        measured="Mean rate of eMBB users minus that of URLLC users, world by world: a "
+        "distribution that lies right of another has the greater mean.",
+        base=base,
+        others=others,
+    )
+
+
+def _rayleigh(frames: Frames, scenario: Scenario) -> Claim:
+    def measure(along: pd.DataFrame, policy: str) -> tuple[Statement, ...]:
+        return tuple(
+            slope(along, policy, f"{part}_rate_mbps", doublings).statement(
+                f"{label} rate per doubling", "Mbit/s", above=0.0
+            )
+            for part, label in PAIRED
+        )
+
+    base, others = swept(frames, scenario, "rayleigh_scale", measure)
+    return Claim(
+        number=4,
+        reference="Fig. 5a",
+        paper="rates rise with the Rayleigh scale",
+        measured="Least-squares slope of the mean rate against log₂ of the scale, world by world.",
+        base=base,
+        others=others,
+        unswept="The scale is swept at one load.",
+    )
+
+
+def _rayleigh_queues(frames: Frames, scenario: Scenario) -> Claim:
+    def measure(along: pd.DataFrame, policy: str) -> tuple[Statement, ...]:
+        rise = slope(along, policy, "embb_backlog_packets", doublings)
+        low, high = ends(along, policy, "urllc_backlog_packets")
+        return (
+            rise.statement("eMBB queue per doubling", "packets", above=0.0),
+            ratio(high, low).statement(
+                "URLLC queue, greatest scale / least",
+                "1",
+                above=1.0 - HARDLY_QUEUE,
+                below=1.0 + HARDLY_QUEUE,
+            ),
+        )
+
+    base, others = swept(frames, scenario, "rayleigh_scale", measure)
+    return Claim(
+        number=5,
+        reference="Fig. 5b",
+        paper="the eMBB queue rises slowly with the scale, the URLLC queue hardly moves",
+        measured="Slope of the mean eMBB backlog against log₂ of the scale, and the ratio of URLLC "
+        f"backlogs at its ends, within {percent(HARDLY_QUEUE)} of 1.",
+        base=base,
+        others=others,
+        unswept="The scale is swept at one load.",
+    )
+
+
+def _sampling(frames: Frames, scenario: Scenario) -> Claim:
+    def measure(along: pd.DataFrame, policy: str) -> tuple[Statement, ...]:
+        statements = []
+        for part, label in PAIRED:
+            low, high = ends(along, policy, f"{part}_rate_mbps")
+            statements.append(
+                ratio(high, low).statement(
+                    f"{label} rate, longest interval / shortest",
+                    "1",
+                    above=1.0 - HARDLY,
+                    below=1.0 + HARDLY,
+                )
+            )
+        return tuple(statements)
+
+    base, others = swept(frames, scenario, "sampling_s", measure)
+    return Claim(
+        number=6,
+        reference="Fig. 6",
+        paper="rates hardly depend on the sampling interval",
+        measured=f"Ratio of mean rates at the ends of the sweep, within {percent(HARDLY)} of 1.",
+        base=base,
+        others=others,
+        unswept="The interval is swept at one load.",
+    )
+
+
+def _dexterity(frames: Frames, scenario: Scenario) -> Claim:
+    def measure(along: pd.DataFrame, policy: str) -> tuple[Statement, ...]:
+        return tuple(
+            slope(along, policy, f"{part}_rate_mbps", tenths_of_dexterity).statement(
+                f"{label} rate per 0.1 DI", "Mbit/s", below=0.0
+            )
+            for part, label in PAIRED
+        )
+
+    base, others = swept(frames, scenario, "reference", measure)
+    return Claim(
+        number=7,
+        reference="Fig. 7",
+        paper="a lower dexterity index gives higher rates",
+        measured="Least-squares slope of the mean rate against the measured index over the "
+        "references, world by world.",
+        base=base,
+        others=others,
+        unswept="The references are swept at one load.",
+    )
+
+
+def _gains(frames: Frames, scenario: Scenario) -> Claim:
+    conditions = []
+    for (method, plant), group in frames.gains.groupby(["method", "plant"], sort=False):
+        statements = []
+        for slot, rows in group[group["violated"]].groupby("slot"):
+            errors = rows.pivot(index="seed", columns="gain", values="error_cm")
+            statements.append(
+                ratio(errors["adjusted"], errors["nominal"]).statement(
+                    f"tracking error, adjusted / nominal, slot {slot}", "1", below=1.0
+                )
+            )
+        conditions.append(
+            Condition(
+                axis="control.method, control.plant",
+                value=f"{method}, {plant}",
+                policy="none",
+                statements=tuple(statements),
+            )
+        )
+    first = conditions[0]
+    return Claim(
+        number=8,
+        reference="Table II",
+        paper="adjusted gains cut the tracking error in slots of violated delay",
+        measured="Ratio of mean tracking errors under the same forced delays, in each of the "
+        "violated slots.",
+        base=Condition(axis="", value=first.value, policy="none", statements=first.statements),
+        others=tuple(conditions[1:]),
+        unswept="The grid over q and delay is in the gain study.",
+    )
+
+
+def _rates(frames: Frames, scenario: Scenario) -> Claim:
+    def measure(runs: pd.DataFrame, policy: str) -> tuple[Statement, ...]:
+        own, other = in_the_same_worlds(runs, policy, BASELINE, "urllc_rate_mbps")
+        return (
+            ratio(own, other).statement(
+                "URLLC rate / PF's", "1", above=1.0 - COMPARABLE, below=1.0 + COMPARABLE
+            ),
+        )
+
+    base, others = evaluated(frames, scenario, measure, needs=BASELINE)
+    return Claim(
+        number=9,
+        reference="Table III",
+        paper="DRL's rate is comparable with PF's",
+        measured="Ratio of the mean URLLC rates in the same worlds, within "
+        f"{percent(COMPARABLE)} of 1 (the paper's own rows: 0.92, 1.02, 0.99).",
+        base=base,
+        others=others,
+    )
+
+
+def _violations(frames: Frames, scenario: Scenario) -> Claim:
+    def measure(runs: pd.DataFrame, policy: str) -> tuple[Statement, ...]:
+        own, other = in_the_same_worlds(runs, policy, BASELINE, "urllc_late_share")
+        return (ratio(own, other).statement("late share / PF's", "1", below=FAR_LESS),)
+
+    base, others = evaluated(frames, scenario, measure, needs=BASELINE)
+    return Claim(
+        number=10,
+        reference="Fig. 8",
+        paper="DRL violates the delay constraint far less than PF",
+        measured="Ratio of the shares of late URLLC packets in the same worlds, below "
+        f"{FAR_LESS:g}.",
+        base=base,
+        others=others,
+    )
+
+
+_CLAIMS = (
+    _rewards,
+    _queues,
+    _slices,
+    _rayleigh,
+    _rayleigh_queues,
+    _sampling,
+    _dexterity,
+    _gains,
+    _rates,
+    _violations,
+)

@@ -1,0 +1,175 @@
+"""Writes the verdicts on the paper's claims: JSON to compute with, Markdown to read."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from hiersched.scenario import Scenario
+from hiersched.study.claims import judge
+from hiersched.study.collect import gain_frame, training_frame
+from hiersched.study.conditions import Frames
+from hiersched.study.files import write_bytes
+from hiersched.study.statistics import LEVEL
+from hiersched.study.tables import interval_text
+from hiersched.study.verdicts import RULE, Claim, Condition, Statement
+
+NAMES = ("claims.json", "claims.md")
+
+
+def write_claims(results_dir: str | os.PathLike[str], scenario: Scenario) -> list[Path]:
+    """Judge the claims by ``tables/runs.csv`` and the logs of training and gain study.
+
+    Parameters
+    ----------
+    results_dir
+        ``results/<scenario>`` with its logs and tables.
+    scenario
+        The scenario that was run.
+
+    Returns
+    -------
+    list of Path
+        ``claims.json`` and ``claims.md``.
+
+    Raises
+    ------
+    FileNotFoundError
+        If a log or the table is missing.
+    ValueError
+        If the scenario runs too few policies, values or rounds for a claim.
+    """
+    results = Path(results_dir)
+    table = results / "tables" / "runs.csv"
+    if not table.is_file():
+        raise FileNotFoundError(f"{table}: no such table")
+    runs = pd.read_csv(table, dtype={"axis": str, "value": str})
+    swept = runs["axis"].notna()
+    frames = Frames(
+        training={scenario.learning.algorithm: training_frame(results, scenario)},
+        runs=runs[~swept],
+        sweeps=runs[swept],
+        gains=gain_frame(results, scenario),
+    )
+    claims = judge(frames, scenario)
+    texts = (claims_json(claims, scenario), claims_markdown(claims, scenario))
+    return [
+        write_bytes(results / name, text.encode()) for name, text in zip(NAMES, texts, strict=True)
+    ]
+
+
+def claims_json(claims: Sequence[Claim], scenario: Scenario) -> str:
+    """Return the claims as JSON; bounds that are not finite are null."""
+    document = {
+        "scenario": scenario.name,
+        "level": LEVEL,
+        "rule": RULE,
+        "claims": [
+            {
+                "number": claim.number,
+                "reference": claim.reference,
+                "claim": claim.paper,
+                "measured": claim.measured,
+                "verdict": claim.verdict,
+                "base": _condition(claim.base),
+                "sensitivity": [_condition(c) for c in claim.others if c.counts],
+                "flipped_by": [_label(c) for c in claim.flipped_by],
+                "beside": [_condition(c) for c in claim.others if not c.counts],
+                "not_swept": claim.unswept,
+            }
+            for claim in claims
+        ],
+    }
+    return json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def claims_markdown(claims: Sequence[Claim], scenario: Scenario) -> str:
+    """Return the claims as Markdown: the table of verdicts, then every sensitivity run."""
+    lines = [
+        f"# The paper's claims in scenario `{scenario.name}`",
+        "",
+        f"{RULE} Brackets hold {100.0 * LEVEL:g} % intervals over seeds, paired where worlds are "
+        "shared: Student t for means and differences, Fieller for ratios. *d* is the standardised "
+        "effect: mean over standard deviation of the paired differences.",
+        "",
+        *verdict_table(claims),
+        "",
+        "## Sensitivity",
+        "",
+        "| | Condition | Policy | Outcome | Numbers |",
+        "|---:|---|---|---|---|",
+    ]
+    for claim in claims:
+        for condition in (claim.base, *claim.others):
+            outcome = condition.outcome if condition.counts else f"({condition.outcome})"
+            lines.append(
+                f"| {claim.number} | {_label(condition)} | {condition.policy} | {outcome} "
+                f"| {_numbers(condition)} |"
+            )
+    return "\n".join(lines) + "\n"
+
+
+def verdict_table(claims: Sequence[Claim]) -> list[str]:
+    """Return the lines of the table of verdicts."""
+    lines = [
+        "| | Claim | How it is measured | Numbers | Verdict | Flipped by |",
+        "|---:|---|---|---|---|---|",
+    ]
+    for claim in claims:
+        flips = "; ".join(_label(c) for c in claim.flipped_by) or "nothing that was run"
+        note = f". {claim.unswept}" if claim.unswept else ""
+        lines.append(
+            f"| {claim.number} | {claim.paper} ({claim.reference}) | {claim.measured} "
+            f"| {_numbers(claim.base)} | **{claim.verdict}** | {flips}{note} |"
+        )
+    return lines
+
+
+def _condition(condition: Condition) -> dict[str, Any]:
+    return {
+        "axis": condition.axis,
+        "value": condition.value,
+        "policy": condition.policy,
+        "outcome": condition.outcome,
+        "statements": [_statement(statement) for statement in condition.statements],
+    }
+
+
+def _statement(statement: Statement) -> dict[str, Any]:
+    mean, lo, hi = map(_finite, statement.interval)
+    return {
+        "name": statement.name,
+        "unit": statement.unit,
+        "estimate": mean,
+        "lo": lo,
+        "hi": hi,
+        "claimed_above": _finite(statement.above),
+        "claimed_below": _finite(statement.below),
+        "effect_size": _finite(statement.effect),
+        "seeds": statement.count,
+        "outcome": statement.outcome,
+    }
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def _label(condition: Condition) -> str:
+    return f"{condition.axis} = {condition.value}" if condition.axis else "as configured"
+
+
+def _numbers(condition: Condition) -> str:
+    return "; ".join(map(_number, condition.statements))
+
+
+def _number(statement: Statement) -> str:
+    unit = "" if statement.unit == "1" else f" {statement.unit}"
+    effect = f", *d* = {statement.effect:.2g}" if math.isfinite(statement.effect) else ""
+    return f"{statement.name}: {interval_text(*statement.interval)}{unit}{effect}"

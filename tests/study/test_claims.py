@@ -1,0 +1,253 @@
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats
+
+from hiersched.scenario import Scenario
+from hiersched.study.claims import judge
+from hiersched.study.claims_report import verdict_table, write_claims
+from hiersched.study.conditions import Frames
+from hiersched.study.measured import settling
+from hiersched.study.statistics import Interval
+from hiersched.study.tables import write_tables
+from hiersched.study.verdicts import Claim, Condition, Outcome, Statement, flipping, verdict_of
+
+
+def statement(lo: float, hi: float, **claimed: float) -> Statement:
+    interval = Interval(0.5 * (lo + hi), lo, hi)
+    return Statement(name="x", unit="1", interval=interval, effect=1.0, count=5, **claimed)
+
+
+@pytest.mark.parametrize(
+    ("lo", "hi", "claimed", "outcome"),
+    [
+        (0.1, 0.4, {"above": 0.0}, "holds"),
+        (-0.1, 0.4, {"above": 0.0}, "open"),
+        (-0.4, -0.1, {"above": 0.0}, "contradicted"),
+        (1.0, 1.0, {"below": 1.0}, "contradicted"),
+        (0.96, 1.04, {"above": 0.95, "below": 1.05}, "holds"),
+        (0.94, 1.04, {"above": 0.95, "below": 1.05}, "open"),
+        (1.06, 1.08, {"above": 0.95, "below": 1.05}, "contradicted"),
+        (-math.inf, 0.3, {"below": 0.5}, "open"),
+        (math.nan, math.nan, {"below": 0.5}, "open"),
+    ],
+)
+def test_a_statement_holds_by_its_whole_interval(
+    lo: float, hi: float, claimed: dict[str, float], outcome: Outcome
+) -> None:
+    assert statement(lo, hi, **claimed).outcome == outcome
+
+
+def condition(*outcomes: str, axis: str = "load", counts: bool = True) -> Condition:
+    bounds = {"holds": (0.1, 0.4), "open": (-0.1, 0.4), "contradicted": (-0.4, -0.1)}
+    statements = tuple(statement(*bounds[outcome], above=0.0) for outcome in outcomes)
+    return Condition(axis=axis, value="1", policy="ddpg", statements=statements, counts=counts)
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "outcome"),
+    [
+        (("holds", "holds"), "holds"),
+        (("holds", "open"), "open"),
+        (("open", "contradicted"), "contradicted"),
+        ((), "open"),
+    ],
+)
+def test_a_condition_needs_all_its_statements(outcomes: tuple[str, ...], outcome: Outcome) -> None:
+    assert condition(*outcomes).outcome == outcome
+
+
+@pytest.mark.parametrize(
+    ("base", "others", "verdict", "flips"),
+    [
+        (["holds"], ["holds", "open"], "reproduced", 0),
+        (["holds"], ["holds", "contradicted"], "depends", 1),
+        (["open"], ["open", "contradicted"], "not reproduced", 0),
+        (["contradicted"], ["holds", "holds"], "depends", 2),
+        (["contradicted"], [], "not reproduced", 0),
+        ([], ["holds"], "not judged", 1),
+    ],
+)
+def test_the_rule(base: list[str], others: list[str], verdict: str, flips: int) -> None:
+    first, rest = condition(*base, axis=""), [condition(outcome) for outcome in others]
+    assert verdict_of(first, rest) == verdict
+    assert len(flipping(first, rest)) == flips
+    # What is shown for comparison changes nothing.
+    shown = [condition("contradicted", counts=False), condition("holds", counts=False)]
+    assert verdict_of(first, [*rest, *shown]) == verdict
+    assert len(flipping(first, [*rest, *shown])) == flips
+
+
+SEEDS = (1, 2, 3, 4, 5)
+SCALES = (0.5, 1.0, 2.0)
+
+
+def planted(measure: str, policy: str, axis: str, value: str, seed: int) -> float:
+    """Known numbers: what differs between policies, along axes, and a little by seed."""
+    own = policy == "ddpg"
+    doublings = math.log2(float(value)) if axis == "rayleigh_scale" else 0.0
+    load = float(value) if axis == "load" else 0.95
+    numbers = {
+        "urllc_rate_mbps": (19.0 if own else 20.0) + doublings,
+        "embb_rate_mbps": 21.0 + doublings - (4.0 if load > 1.0 and own else 0.0),
+        "urllc_backlog_packets": 4.0 - 2.0 * doublings,
+        "embb_backlog_packets": 9.0 - doublings,
+        "urllc_late_share": 0.01 if own else 0.2,
+        "dexterity_index": {"zigzag": 0.66, "arc": 0.91}.get(value, 0.75),
+    }
+    if axis == "reference":
+        numbers["urllc_rate_mbps"] -= 4.0 * (numbers["dexterity_index"] - 0.75)
+        numbers["embb_rate_mbps"] += 4.0 * (numbers["dexterity_index"] - 0.75)
+    return numbers[measure] * (1.0 + 1e-3 * (seed - 3))
+
+
+def runs_of(axis: str, values: tuple[str, ...]) -> pd.DataFrame:
+    names = "urllc_rate_mbps embb_rate_mbps urllc_backlog_packets embb_backlog_packets"
+    rows = [
+        {
+            "policy": policy,
+            "seed": seed,
+            "axis": axis,
+            "value": value,
+            **{
+                name: planted(name, policy, axis, value, seed)
+                for name in (*names.split(), "urllc_late_share", "dexterity_index")
+            },
+        }
+        for policy in ("ddpg", "pf")
+        for value in values
+        for seed in SEEDS
+    ]
+    return pd.DataFrame(rows)
+
+
+@pytest.fixture(scope="module")
+def frames() -> Frames:
+    rounds = np.arange(10)
+    curve = {"urllc_reward": -np.exp(-rounds), "embb_reward": -0.1 * rounds}
+    training = pd.concat(
+        pd.DataFrame(
+            {
+                "seed": seed,
+                "episode": rounds + 1,
+                "urllc_backlog_packets": 30.0 - 2.0 * rounds + seed,
+                "embb_backlog_packets": 30.0 - rounds + seed,
+                **{name: values * (1.0 + 0.01 * seed) for name, values in curve.items()},
+            }
+        )
+        for seed in SEEDS
+    )
+    gains = pd.DataFrame(
+        [
+            {
+                **{"method": method, "plant": plant, "gain": gain, "seed": seed},
+                **{"slot": slot, "violated": slot == 2},
+                "error_cm": (2.0 + 0.1 * seed) * (ratio if gain == "adjusted" else 1.0),
+            }
+            for method, plant, ratio in (("krasovskii", "network", 0.7), ("razumikhin", "split", 1))
+            for gain in ("nominal", "adjusted")
+            for slot in (1, 2)
+            for seed in SEEDS
+        ]
+    )
+    sweeps = [
+        runs_of("rayleigh_scale", tuple(map(str, SCALES))),
+        runs_of("sampling_s", ("0.02", "0.1")),
+        runs_of("reference", ("zigzag", "arc")),
+        runs_of("load", ("0.85", "1.05")),
+    ]
+    return Frames(
+        training={"ddpg": training},
+        runs=runs_of("", ("",)),
+        sweeps=pd.concat(sweeps, ignore_index=True),
+        gains=gains,
+    )
+
+
+@pytest.fixture(scope="module")
+def scenario(tiny: Scenario) -> Scenario:
+    return replace(
+        tiny,
+        evaluate=replace(tiny.evaluate, policies=("ddpg", "pf")),
+        learning=replace(tiny.learning, num_envs=1),
+    )
+
+
+@pytest.fixture(scope="module")
+def claims(frames: Frames, scenario: Scenario) -> dict[int, Claim]:
+    return {claim.number: claim for claim in judge(frames, scenario)}
+
+
+def test_verdicts_follow_from_planted_numbers(claims: dict[int, Claim]) -> None:
+    verdicts = {number: claim.verdict for number, claim in claims.items()}
+    assert verdicts == {
+        1: "not reproduced",  # the eMBB reward falls
+        2: "reproduced",
+        3: "depends",  # above load 1 it is the other way round
+        4: "reproduced",
+        5: "not reproduced",  # both queues fall
+        6: "reproduced",
+        7: "not reproduced",  # the eMBB rate rises with the index
+        8: "depends",  # the other plant needs no adjustment
+        9: "reproduced",
+        10: "reproduced",
+    }
+    assert [c.value for c in claims[3].flipped_by] == ["1.05"]
+    assert [c.value for c in claims[8].flipped_by] == ["razumikhin, split"]
+
+
+def test_numbers_are_those_of_the_planted_runs(claims: dict[int, Claim]) -> None:
+    (difference,) = claims[3].base.statements
+    expected = 2.0 * (1.0 + 1e-3 * (np.array(SEEDS) - 3))
+    bounds = stats.ttest_1samp(expected, 0.0).confidence_interval(0.95)
+    assert difference.interval == pytest.approx((2.0, bounds.low, bounds.high))
+    assert claims[4].base.statements[0].interval.mean == pytest.approx(1.0)
+    assert claims[5].base.statements[0].interval.mean == pytest.approx(-1.0)
+    assert claims[7].base.statements[0].interval.mean == pytest.approx(-0.4)
+    assert claims[8].base.statements[0].interval.mean == pytest.approx(0.7)
+    assert claims[9].base.statements[0].interval.mean == pytest.approx(0.95)
+    assert claims[10].base.statements[0].interval.mean == pytest.approx(0.05)
+
+
+def test_fifths_of_a_training(frames: Frames) -> None:
+    """Ten rounds are five pairs; the queue falls by 2 a round."""
+    change, late = settling(frames.training["ddpg"], "urllc_backlog_packets", 1)
+    assert change.interval.mean == pytest.approx(-16.0)
+    assert late.interval.mean == pytest.approx(0.25)
+
+
+def test_what_was_not_run_is_not_judged(frames: Frames, scenario: Scenario) -> None:
+    alone = frames._replace(
+        runs=frames.runs[frames.runs["policy"] == "pf"],
+        sweeps=frames.sweeps[frames.sweeps["value"].isin(["0.5", "zigzag"])],
+    )
+    verdicts = {claim.number: claim.verdict for claim in judge(alone, scenario)}
+    assert {n for n, v in verdicts.items() if v == "not judged"} == {3, 4, 5, 6, 7, 9, 10}
+
+
+def test_both_files_say_the_same(results: Path, tiny: Scenario, project_root: Path) -> None:
+    write_tables(results, tiny, defaults=project_root / "config/defaults.yaml")
+    written = write_claims(results, tiny)
+    assert [path.name for path in written] == ["claims.json", "claims.md"]
+    claims = json.loads(written[0].read_text())["claims"]
+    assert [claim["number"] for claim in claims] == list(range(1, 11))
+    text = written[1].read_text()
+    for claim in claims:
+        (row,) = [line for line in text.splitlines() if f"({claim['reference']})" in line]
+        assert f"**{claim['verdict']}**" in row
+    late = claims[9]["base"]["statements"][0]
+    shares = pd.read_csv(results / "tables/policies.csv").set_index("policy")["urllc_late_share"]
+    assert late["estimate"] == pytest.approx(shares["ddpg"] / shares["pf"])
+    loads = [run["value"] for run in claims[9]["sensitivity"] if run["axis"] == "traffic.load"]
+    assert loads == ["0.85", "1.0"]
+
+
+def test_every_claim_is_a_row(claims: dict[int, Claim]) -> None:
+    assert len(verdict_table(list(claims.values()))) == 12
