@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hiersched.control import hold_delays
 from hiersched.robot.dynamics import (
     CONTROL,
     LANES,
@@ -21,6 +22,7 @@ from hiersched.robot.dynamics import (
     RobotConstants,
     close_loop,
     gather_path,
+    hold_entry,
     move_lanes,
     path_scratch,
     robot_state,
@@ -51,7 +53,8 @@ def constants(reference="straight", *, step_s=0.0025, speed_mps=1.0, noise=0.0, 
         max_delay_steps=max_delay, local_gain=zeros if local is None else local,
         network_gain=zeros if network is None else network, has_memory=inputs is not None,
         input_gain=np.zeros((max_delay + 1, max_delay, 2, 2)) if inputs is None else inputs,
-        adjusted_delay_steps=np.zeros(max_delay + 1, np.uint32), speed_mps=speed_mps,
+        hold_samples=0, adjusted_delay_steps=np.zeros(max_delay + 1, np.uint32),
+        speed_mps=speed_mps,
         path=np.stack([table.turn_rate_radps, np.cos(half), np.sin(half),
                        speed_mps * step_s * np.sinc(half / math.pi)], axis=1),
         pose=table.pose, offset=offset,
@@ -166,10 +169,11 @@ def random_gains(seed, max_delay=3, size=1.0):
     return size * np.random.default_rng(seed).normal(size=(2, max_delay + 1, 2, 5))
 
 
-def close(robot, sample, delay, states):
-    """Close the loop of the first robot."""
+def close(robot, sample, delay, states, entry=None):
+    """Close the loop of the first robot, by default with the gains of its delay."""
     of_robot = states.history[0, 0], states.commands[0, 0]
-    return close_loop(robot, sample, delay, 0, states.lanes[0, 0], *of_robot)
+    entry = delay if entry is None else entry
+    return close_loop(robot, sample, delay, entry, 0, states.lanes[0, 0], *of_robot)
 
 
 @given(st.lists(st.integers(0, 3), min_size=8, max_size=20), st.integers(0, 100))
@@ -213,6 +217,13 @@ def test_gains_with_memory_see_the_commands_that_were_applied(delays, seed):
         applied[k] = np.clip(wanted, -limit, limit)
         np.testing.assert_allclose(states.field(CONTROL, 2)[0, 0], applied[k], atol=1e-12)
         assert saturated == (np.abs(wanted) > limit).any()
+
+
+@given(st.lists(st.integers(0, 6), min_size=1, max_size=60), st.integers(0, 5))
+def test_entries_are_held_as_the_control_library_says(delays, hold_samples):
+    held = np.zeros(2, np.int64)
+    entries = [hold_entry(delay, hold_samples, held) for delay in delays]
+    assert entries == hold_delays(delays, hold_samples).tolist()
 
 
 def test_commands_stop_at_their_limits_and_say_so():

@@ -65,9 +65,9 @@ def test_uncertified_gains_are_reported_while_they_are_in_force(tiny: Scenario) 
     schedule = build_schedule(plant_of(scenario), scenario.max_delay_steps, "predictor")
     assert schedule.status == ("nominal", "uncertified", "uncertified")
     fields = quiet(4)
-    fields["delay_steps"][1:3, 0] = 1
+    fields["delay_steps"][1:3, 0] = 1  # samples in slots 0 and 2: in force in slots 2 and 3
     (event,) = slot_events(scenario, schedule, fields)
-    assert (event.slot, event.level, event.name) == (1, "WARNING", "gain")
+    assert (event.slot, event.level, event.name) == (2, "WARNING", "gain")
     assert event.message == (
         "robot 0: no certified gain for T = 1, a gain without certificate in force for 2 slots"
     )
@@ -83,10 +83,10 @@ def test_gains_without_certificate_are_reported(tiny: Scenario, designed) -> Non
         status=("nominal", "nominal", "infeasible"),
         certificates=(*schedule.certificates[:2], unproven),
     )
-    fields = quiet(3)
-    fields["delay_steps"][1:, 1] = 2
+    fields = quiet(4)
+    fields["delay_steps"][1:, 1] = 2  # a sample every second slot
     (event,) = slot_events(tiny, broken, fields)
-    assert (event.slot, event.name) == (1, "gain")
+    assert (event.slot, event.name) == (2, "gain")
     assert event.message == (
         "robot 1: no certified gain for T = 2, nominal gain in force for 2 slots"
     )

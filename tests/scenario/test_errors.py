@@ -59,6 +59,11 @@ from hiersched.scenario import ScenarioError, find_scenario, load_scenario
         ("sweeps: {sampling_s: [0.02, 0.021]}", ["sweeps.sampling_s = 0.021", "multiple of"]),
         ("robot: {window_s: 0.015}", ["robot.window_s = 0.015", "radio.slot_s = 0.01"]),
         ("control: {method: razumikhin}", ["control.method = 'razumikhin'", "plant = 'split'"]),
+        ("control: {hold_samples: -1}", ["control.hold_samples = -1", "equal to 0"]),
+        (
+            "control: {method: predictor, hold_samples: 4}",
+            ["control.hold_samples = 4: must be 0 with control.method = 'predictor'"],
+        ),
         *(
             (
                 f"control: {{method: {method}, plant: split}}",

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hiersched.control import build_schedule
+from hiersched.control import build_schedule, hold_delays
 from hiersched.robot.dynamics import SLIP, STATE
+from hiersched.runs.events import entries_in_force
 from hiersched.simulator.gains import LoopGains, loop_gains, plant_of
 
 STILL = {
@@ -78,6 +79,46 @@ def test_a_predictor_undoes_the_delay(make_simulator, smoke_scenario):
         np.testing.assert_allclose(record.state[0, -1, robot_index], x[-1], rtol=2e-3, atol=1e-9)
     late = record.gain_delay_steps[:, 1::2] == record.delay_steps[:, 1::2]
     assert late.all()
+
+
+def test_a_held_gain_acts_on_the_sample_that_the_delay_gives(make_simulator, smoke_scenario):
+    """u = −K[T_held] x(k − T_d), both from NumPy; the log says which entry is in force."""
+    count = smoke_scenario.max_delay_steps + 1
+    rng = np.random.default_rng(7)
+    gains = LoopGains.memoryless(rng.normal(size=(count, 2, 5)))
+    quiet = {**STILL, "slip_speed_mps": 0.05, "slip_turn_rate_radps": 0.2, **FREE}
+    simulator = make_simulator(1, 120, gains=gains, robot=quiet, control={"hold_samples": 3})
+    record = simulator.run_robots(np.repeat(rng.uniform(0.0, 0.24, (1, 60, 4)), 2, axis=1))
+    steps = record.delay_steps[0, ::2].astype(int)
+    entries = hold_delays(steps, 3)
+    assert (entries > steps).mean() > 0.5
+    np.testing.assert_array_equal(record.gain_delay_steps[0, ::2], entries)
+    np.testing.assert_array_equal(record.gain_delay_steps[0, 1::2], entries)
+    np.testing.assert_array_equal(
+        entries_in_force(simulator.scenario, record.delay_steps[0]), np.repeat(entries, 2, axis=0)
+    )
+    for k, robot in np.ndindex(60, 4):
+        late = 2 * (k - steps[k, robot]) - 1
+        x = record.state[0, late, robot] if late >= 0 else np.zeros(5)
+        np.testing.assert_allclose(
+            record.control[0, 2 * k, robot],
+            -gains.network_gains[entries[k, robot]] @ x,
+            rtol=1e-12,
+            atol=1e-15,
+        )
+
+
+@pytest.mark.parametrize("sampling_s", [0.0025, 0.005, 0.01, 0.025, 0.04])
+def test_entries_in_force_follow_the_slot_loop(make_simulator, smoke_scenario, sampling_s):
+    """Sampling intervals shorter and longer than a slot of 10 ms, and not a multiple of it."""
+    control = {"sampling_s": sampling_s, "max_delay_s": 8 * sampling_s, "hold_samples": 2}
+    gains = LoopGains.memoryless(0.1 * np.random.default_rng(8).normal(size=(9, 2, 5)))
+    simulator = make_simulator(1, 60, gains=gains, control=control)
+    delay_s = np.random.default_rng(9).uniform(0.0, 9 * sampling_s, (1, 60, 4))
+    record = simulator.run_robots(delay_s)
+    np.testing.assert_array_equal(
+        entries_in_force(simulator.scenario, record.delay_steps[0]), record.gain_delay_steps[0]
+    )
 
 
 def test_the_nominal_tables_are_the_schedules_nominal_gain(smoke_scenario):

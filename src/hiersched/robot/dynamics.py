@@ -42,9 +42,9 @@ class RobotConstants(NamedTuple):
     `adjusted_delay_steps`, shape (T_max + 1,), is T where the gain for T is adjusted, 0 where it is
     nominal. `local_gain` and `network_gain`, shape (T_max + 1, 2, 5), act on the present and on the
     delayed measurement, `input_gain`, shape (T_max + 1, T_max, 2, 2), on past commands, the newest
-    first; `has_memory` says whether any of it is not 0. `path`, shape (N, 4), describes the
-    reference in each step: turn rate, cosine and sine of half the step's turn, chord; `offset`,
-    shape (R,), is where each robot starts in it.
+    first; `has_memory` says whether any of it is not 0; an entry is held for `hold_samples`.
+    `path`, shape (N, 4), describes the reference in each step: turn rate, cosine and sine of half
+    the step's turn, chord; `offset`, shape (R,), is where each robot starts in it.
     """
 
     step_s: float
@@ -67,6 +67,7 @@ class RobotConstants(NamedTuple):
     network_gain: NDArray[np.float64]
     input_gain: NDArray[np.float64]
     has_memory: bool
+    hold_samples: int
     adjusted_delay_steps: NDArray[np.uint32]
     speed_mps: float
     path: NDArray[np.float64]
@@ -81,6 +82,7 @@ class RobotState(NamedTuple):
     (2), sums over the window (3), the slot's sum of squared position errors and its standard
     normals (5), each LANES times. `history` (E, R, T_max + 1, 5) is the ring of measured states,
     `commands` (E, R, T_max + 1, 2) that of applied commands, kept for gains with memory only,
+    `held` (E, R, 2) the entry in force and the samples for which it has to be kept (hysteresis),
     `dexterity_index` (E, R) the one in force, `gain_delay_steps` (E, R) the delay whose adjusted
     gain is in force, 0 for the nominal gain.
     """
@@ -88,6 +90,7 @@ class RobotState(NamedTuple):
     lanes: NDArray[np.float64]
     history: NDArray[np.float64]
     commands: NDArray[np.float64]
+    held: NDArray[np.int64]
     dexterity_index: NDArray[np.float64]
     gain_delay_steps: NDArray[np.uint32]
 
@@ -115,6 +118,7 @@ def robot_state(
         lanes=np.zeros((num_envs, -(-num_robots // LANES), _END)),
         history=np.zeros((num_envs, num_robots, max_delay_steps + 1, NUM_STATES)),
         commands=np.zeros((num_envs, num_robots, max_delay_steps + 1, NUM_INPUTS)),
+        held=np.zeros((num_envs, num_robots, 2), np.int64),
         dexterity_index=np.full((num_envs, num_robots), initial_dexterity_index),
         gain_delay_steps=np.zeros((num_envs, num_robots), np.uint32),
     )
@@ -157,6 +161,17 @@ def start_slot(constants: RobotConstants, lanes: NDArray[np.float64]) -> None:
 
 
 @kernel()
+def hold_entry(delay_steps: int, hold_samples: int, held: NDArray[np.int64]) -> int:
+    """Entry of the tables in force: that of `control.hold_step`, whose state is `held` (2,)."""
+    if delay_steps >= held[0] or held[1] == 0:
+        held[0] = delay_steps
+        held[1] = hold_samples
+    else:
+        held[1] -= 1
+    return int(held[0])
+
+
+@kernel()
 def recall(gain: NDArray[np.float64], sample: int, commands: NDArray[np.float64]) -> float:
     """Sum_i H_i u(k-1-i) of one input: gain (T_max, m), ring of commands (T_max + 1, m)."""
     ring = commands.shape[0]
@@ -173,6 +188,7 @@ def close_loop(
     constants: RobotConstants,
     sample: int,
     delay_steps: int,
+    entry: int,
     lane: int,
     lanes: NDArray[np.float64],
     history: NDArray[np.float64],
@@ -180,7 +196,7 @@ def close_loop(
 ) -> int:
     """Measure one robot and set u(k) = -K_local x(k) - K_network x(k-T_d) - sum_i H_i u(k-1-i).
 
-    The gains are those of T_d.
+    The gains are those of one entry of the tables.
 
     Parameters
     ----------
@@ -190,6 +206,8 @@ def close_loop(
         Index k of the control sample. Before the first sample the robot stood on its reference.
     delay_steps
         T_d, at most `constants.max_delay_steps`.
+    entry
+        The delay whose gains are in force: T_d, or a longer one that is held.
     lane
         The robot's lane.
     lanes
@@ -219,13 +237,13 @@ def close_loop(
     past = history[(sample - delay_steps) % ring]
     saturated = 0
     for i in range(NUM_INPUTS):
-        network = constants.network_gain[delay_steps, i]
-        local = constants.local_gain[delay_steps, i]
+        network = constants.network_gain[entry, i]
+        local = constants.local_gain[entry, i]
         command = 0.0
         for j in range(NUM_STATES):
             command -= network[j] * past[j] + local[j] * now[j]
         if constants.has_memory:
-            command -= recall(constants.input_gain[delay_steps, :, i], sample, commands)
+            command -= recall(constants.input_gain[entry, :, i], sample, commands)
         limit = constants.max_speed_mps if i == 0 else constants.max_turn_rate_radps
         if abs(command) > limit:
             command = limit if command > 0.0 else -limit

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.control import GainSchedule
+from hiersched.control import GainSchedule, hold_delays
 from hiersched.log import Event
 from hiersched.scenario import Scenario
 
@@ -93,7 +93,7 @@ def _capped_delays(scenario: Scenario, fields: Mapping[str, NDArray[Any]]) -> It
 def _unproven_gains(
     scenario: Scenario, schedule: GainSchedule, fields: Mapping[str, NDArray[Any]]
 ) -> Iterator[Event]:
-    status, steps = np.array(schedule.status), fields["delay_steps"]
+    status, steps = np.array(schedule.status), entries_in_force(scenario, fields["delay_steps"])
     for kind, what in _UNPROVEN.items():
         if kind == "uncertified" and scenario.control.gain == "nominal":
             continue  # that gain is not in force
@@ -105,6 +105,23 @@ def _unproven_gains(
                 f"robot {robot}: no certified gain for T = {steps[start, robot]}, {what} in force "
                 f"for {stop - start} slots",
             )
+
+
+def entries_in_force(scenario: Scenario, delay_steps: NDArray[np.uint32]) -> NDArray[np.int64]:
+    """Entry of the schedule in force at the end of each slot, shape (T, R), from the first on.
+
+    A slot takes it from its last control sample; one without a sample keeps the last slot's.
+    """
+    slot_s, sampling_s = scenario.radio.slot_s, scenario.control.sampling_s
+    slots = np.arange(len(delay_steps))
+    # Start and end of a slot in samples; 1e-9 as for delays: a ratio near an integer is that one.
+    last = np.ceil((slots + 1) * slot_s / sampling_s - 1e-9).astype(int) - 1
+    sample = np.arange(last[-1] + 1)
+    slot_of_sample = np.floor(sample * sampling_s / slot_s + 1e-9).astype(int)
+    entries: NDArray[np.int64] = hold_delays(
+        delay_steps[slot_of_sample], scenario.control.hold_samples
+    )[last]
+    return entries
 
 
 def _saturated_controls(fields: Mapping[str, NDArray[Any]]) -> Iterator[Event]:

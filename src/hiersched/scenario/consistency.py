@@ -116,6 +116,11 @@ def _times(scenario: Scenario) -> list[str]:
 
 def _control(scenario: Scenario) -> list[str]:
     control = scenario.control
+    if control.method == "predictor" and control.hold_samples:
+        return [
+            f"control.hold_samples = {control.hold_samples}: must be 0 with control.method = "
+            "'predictor' (a prediction over T samples is right for the delay T alone)"
+        ]
     if control.method == "razumikhin" and control.plant == "network":
         return [
             "control.method = 'razumikhin': needs control.plant = 'split' (a plant with an "

@@ -141,6 +141,7 @@ class Control:
     method: GainMethod
     decay_rate: Annotated[float, Field(ge=0, lt=1)]
     gain: Literal["adjusted", "nominal"]
+    hold_samples: Annotated[int, Field(ge=0)]
 
 
 @dataclass(frozen=True, kw_only=True)

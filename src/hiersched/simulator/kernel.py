@@ -31,6 +31,7 @@ from hiersched.robot.dynamics import (
     RobotConstants,
     close_loop,
     gather_path,
+    hold_entry,
     move_lanes,
     start_slot,
     steps_of_delay,
@@ -258,19 +259,22 @@ def _drive_robots(
                 sample = step // robots.steps_per_sample
                 for lane in range(count):
                     robot = begin + lane
-                    step_delay = int(delay_steps[robot])
+                    step_delay = entry = int(delay_steps[robot])
+                    if robots.hold_samples > 0:
+                        held = state.robots.held[env, robot]
+                        entry = hold_entry(step_delay, robots.hold_samples, held)
                     saturated[robot] += close_loop(
                         robots,
                         sample,
                         step_delay,
+                        entry,
                         lane,
                         lanes,
                         state.robots.history[env, robot],
                         state.robots.commands[env, robot],
                     )
-                    state.robots.gain_delay_steps[env, robot] = robots.adjusted_delay_steps[
-                        step_delay
-                    ]
+                    adjusted = robots.adjusted_delay_steps[entry]
+                    state.robots.gain_delay_steps[env, robot] = adjusted
             of_step = (step - first) * NUM_PATH * LANES
             move_lanes(
                 robots.step_s,

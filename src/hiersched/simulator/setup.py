@@ -249,6 +249,7 @@ def robot_constants(
         max_delay_steps=scenario.max_delay_steps,
         **tables,
         has_memory=bool(tables["input_gain"].any()),
+        hold_samples=control.hold_samples,
         adjusted_delay_steps=np.where(gains.adjusted, np.arange(needed), 0).astype(np.uint32),
         speed_mps=robot.speed_mps,
         path=np.stack(
