@@ -6,6 +6,7 @@ from pathlib import Path
 
 from hiersched.runs import paths, spec
 from hiersched.runs.fingerprint import KERNEL_MODULE, code_fingerprint
+from hiersched.runs.gain_points import GAIN_SWEEPS
 from hiersched.runs.variants import (
     CLASSICAL_GROUP,
     GROUPS,

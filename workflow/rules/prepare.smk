@@ -43,6 +43,27 @@ rule gains:
         "{sys.executable} {params.args} > {log} 2>&1"
 
 
+rule stability:
+    input:
+        lambda w: inside(BY_NAME[w.scenario], paths.stability_gain_files(BY_NAME[w.scenario])),
+    output:
+        ensure(f"results/{{scenario}}/{paths.STABILITY}", non_empty=True),
+    log:
+        "results/{scenario}/logs/stability.log",
+    benchmark:
+        "results/{scenario}/benchmarks/stability.tsv"
+    threads: 1
+    params:
+        spec=lambda w: spec.stage_spec(
+            "stability", spec.stability_values(BY_NAME[w.scenario]), script("stability")
+        ),
+        args=lambda w: arguments("stability", BY_NAME[w.scenario]),
+    message:
+        "Finding the longest delays: {wildcards.scenario}"
+    shell:
+        "{sys.executable} {params.args} > {log} 2>&1"
+
+
 # Compiling the slot loop takes longer than most jobs run: once, for all of them. The file is named after the code,
 # so new code is compiled anew; whatever needs the loop has to run then in any case.
 rule kernels:

@@ -79,3 +79,28 @@ for s in SCENARIOS:
             f"Running the gain study of {s.name}"
         shell:
             "{sys.executable} {params.args} > {log} 2>&1"
+
+    for axis in GAIN_SWEEPS:
+
+        rule:
+            name:
+                f"gain_sweep_{axis}_{s.name}"
+            input:
+                kernels=KERNELS,
+                gains=inside(s, paths.gain_sweep_files(s, axis)),
+            output:
+                whole(inside(s, paths.gain_sweep_logs(s, axis))),
+            log:
+                f"{folder(s)}/logs/gain_sweep_{axis}.log",
+            benchmark:
+                f"{folder(s)}/benchmarks/gain_sweep_{axis}.tsv"
+            threads: 1
+            params:
+                spec=spec.stage_spec(
+                    f"gain_sweep_{axis}", spec.gain_sweep_values(s, axis), script("gain_sweep")
+                ),
+                args=arguments("gain_sweep", s, "--axis", axis),
+            message:
+                f"Running the gain study of {s.name} along {axis}"
+            shell:
+                "{sys.executable} {params.args} > {log} 2>&1"

@@ -13,7 +13,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenario", type=Path, required=True)
     parser.add_argument(
-        "--design", required=True, help="schedule, schedule_<h> or schedule_<method>"
+        "--design", required=True, help="schedule, or schedule_<h>, _<method> or _q<weight>"
     )
     parser.add_argument("--results", type=Path, required=True)
     args = parser.parse_args()

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from hiersched.runs.gain_points import GAIN_SWEEPS, gain_points
 from hiersched.runs.variants import (
     GROUPS,
     LEARNED_GROUP,
     STUDY_GAINS,
-    STUDY_PLANTS,
     SWEPT_KEYS,
+    baseline_method,
     design_of,
     gain_designs,
     group_policies,
@@ -15,11 +16,13 @@ from hiersched.runs.variants import (
     swept_scenario,
     swept_values,
     value_text,
+    weighted_scenario,
 )
 from hiersched.scenario import Scenario
 
 SCENARIO = "scenario.yaml"
 CHECKPOINTS = "checkpoints"
+STABILITY = "gains/stability.json"
 PROGRESS = f"train/{LEARNED_GROUP}/progress.csv"
 
 RUNS = "tables/runs.csv"
@@ -35,6 +38,10 @@ FIGURES = (
     "fig8_violations",
     "figX_load",
     "figX_gain",
+    "figX_gain_grid",
+    "figX_gain_sweeps",
+    "figX_gain_traces",
+    "figX_gain_stability",
 )
 TABLES = (
     "table1_parameters",
@@ -45,6 +52,10 @@ TABLES = (
     "comparison",
     "sweeps",
     "gains",
+    "gain_methods",
+    "gain_grid",
+    "gain_sweeps",
+    "gain_stability",
 )
 
 
@@ -124,19 +135,48 @@ def gain_study_log(method: str, gain: str, seed: int) -> str:
 
 
 def gain_study_logs(scenario: Scenario) -> list[str]:
-    """List the logs of the gain study."""
+    """List the logs of the gain study; methods on one plant share those of the nominal gain."""
     return [
         gain_study_log(method, gain, seed)
-        for method in STUDY_PLANTS
+        for method in scenario.gain_study.methods
         for gain in STUDY_GAINS
+        if gain == "adjusted" or method == baseline_method(scenario, method)
         for seed in scenario.gain_study.seeds
     ]
 
 
 def study_gain_files(scenario: Scenario) -> list[str]:
     """List the gain schedules of the gain study."""
-    variants = [study_scenario(scenario, method, "adjusted") for method in STUDY_PLANTS]
+    methods = scenario.gain_study.methods
+    variants = [study_scenario(scenario, method, "adjusted") for method in methods]
     return [gain_file(design_of(scenario, variant)) for variant in variants]
+
+
+def gain_sweep_log(axis: str, value: str, gain: str, seed: int) -> str:
+    """Log of the robots at one point of a sweep of the gain study."""
+    return f"gain_study/{axis}/{value}_{gain}_seed{seed}.mcap"
+
+
+def gain_sweep_logs(scenario: Scenario, axis: str) -> list[str]:
+    """List the logs of a sweep of the gain study."""
+    return [
+        gain_sweep_log(axis, point.value, gain, seed)
+        for point in gain_points(scenario, axis)
+        for gain in STUDY_GAINS
+        for seed in scenario.gain_study.seeds
+    ]
+
+
+def gain_sweep_files(scenario: Scenario, axis: str) -> list[str]:
+    """List the gain schedules that a sweep of the gain study needs, each once."""
+    designs = (design_of(scenario, point.scenario) for point in gain_points(scenario, axis))
+    return list(dict.fromkeys(gain_file(design) for design in designs))
+
+
+def stability_gain_files(scenario: Scenario) -> list[str]:
+    """List the gain schedules whose stability regions are computed."""
+    weights = scenario.gain_study.weight
+    return [gain_file(design_of(scenario, weighted_scenario(scenario, q))) for q in weights]
 
 
 def claim_logs(scenario: Scenario) -> list[str]:
@@ -147,6 +187,8 @@ def claim_logs(scenario: Scenario) -> list[str]:
 def all_logs(scenario: Scenario) -> list[str]:
     """List every log of a study."""
     names = [*training_logs(scenario), *gain_study_logs(scenario)]
+    for axis in GAIN_SWEEPS:
+        names += gain_sweep_logs(scenario, axis)
     for group in GROUPS:
         names += evaluation_logs(scenario, group)
         for axis in SWEPT_KEYS:

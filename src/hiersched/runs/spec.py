@@ -25,18 +25,36 @@ _CONSTRAINT = (
 _SLOT_LOOP = ("name", "users", "radio", "traffic", *_CONSTRAINT, "schedulers", "robot", "control")
 """Pick what the slot loop reads, whoever decides; `learning.reward_scale` is in its rewards."""
 
+_DESIGN = (
+    "control.sampling_s",
+    "control.weight",
+    "control.max_delay_s",
+    "control.plant",
+    "control.operator_share",
+    "control.method",
+    "control.decay_rate",
+    "robot.speed_mps",
+    "robot.actuator_lag_s",
+)
+_FORCED_DELAYS = (
+    "name",
+    "robot",
+    "control",
+    "radio.slot_s",
+    "gain_study.seeds",
+    "gain_study.violation_delay_s",
+    "gain_study.calm_delay_s",
+)
+
+_SWEPT_GAINS = {
+    "grid": ("gain_study.weight", "gain_study.fixed_delay_s"),
+    "sampling_s": ("sweeps.sampling_s",),
+    "noise": ("gain_study.noise_position_m", "gain_study.noise_heading_rad"),
+}
+"""Axis of a sweep of the gain study -> the keys with its points."""
+
 KEYS: dict[str, tuple[str, ...]] = {
-    "gains": (
-        "control.sampling_s",
-        "control.weight",
-        "control.max_delay_s",
-        "control.plant",
-        "control.operator_share",
-        "control.method",
-        "control.decay_rate",
-        "robot.speed_mps",
-        "robot.actuator_lag_s",
-    ),
+    "gains": _DESIGN,
     "train": (*_SLOT_LOOP, "objective", "learning", *_LOG_FORM, "log.train_profile"),
     "evaluate": (
         *_SLOT_LOOP,
@@ -55,13 +73,26 @@ KEYS: dict[str, tuple[str, ...]] = {
         "log.sweep_profile",
     ),
     "gain_study": (
-        "name",
-        "robot",
-        "control",
-        "radio.slot_s",
-        "gain_study",
+        *_FORCED_DELAYS,
+        "gain_study.methods",
+        "gain_study.num_robots",
+        "gain_study.num_windows",
+        "gain_study.violation_windows",
         *_LOG_FORM,
         "log.sweep_profile",
+    ),
+    "gain_sweep": (
+        *_FORCED_DELAYS,
+        "gain_study.sweep_robots",
+        "gain_study.sweep_windows",
+        *_LOG_FORM,
+        "log.sweep_profile",
+    ),
+    "stability": (
+        *_DESIGN,
+        "sweeps.sampling_s",
+        "gain_study.weight",
+        "gain_study.fixed_delay_s",
     ),
 }
 """Stage -> the keys that it reads; a section stands for all its keys."""
@@ -117,6 +148,16 @@ def sweep_values(scenario: Scenario, axis: str, group: str) -> dict[str, Any]:
 def gain_study_values(scenario: Scenario) -> dict[str, Any]:
     """Pick what the gain study depends on."""
     return picked(scenario, KEYS["gain_study"])
+
+
+def gain_sweep_values(scenario: Scenario, axis: str) -> dict[str, Any]:
+    """Pick what a sweep of the gain study depends on."""
+    return picked(scenario, (*KEYS["gain_sweep"], *_SWEPT_GAINS[axis]))
+
+
+def stability_values(scenario: Scenario) -> dict[str, Any]:
+    """Pick what the stability regions depend on, besides the gains."""
+    return picked(scenario, KEYS["stability"])
 
 
 def scenario_values(scenario: Scenario, notes: str = "") -> dict[str, Any]:

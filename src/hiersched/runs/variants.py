@@ -7,7 +7,7 @@ from typing import Literal
 
 from hiersched.scenario import Scenario, ScenarioError
 from hiersched.scenario.consistency import inconsistencies
-from hiersched.scenario.schema import Users
+from hiersched.scenario.schema import GainMethod, Users
 
 SWEPT_KEYS = {
     "rayleigh_scale": "radio.rayleigh_scale",
@@ -17,12 +17,14 @@ SWEPT_KEYS = {
 }
 """Axis of a sweep -> the key that it varies."""
 
-Method = Literal["krasovskii", "razumikhin"]
 Gain = Literal["nominal", "adjusted"]
 
-STUDY_PLANTS: dict[Method, Literal["network", "split"]] = {
+STUDY_PLANTS: dict[GainMethod, Literal["network", "split"]] = {
     "krasovskii": "network",
     "razumikhin": "split",
+    "predictor": "network",
+    "latency_compensated": "network",
+    "h2": "network",
 }
 """Method of the gain study -> the plant that it is for."""
 
@@ -66,43 +68,70 @@ def swept_scenario(scenario: Scenario, axis: str, value: float | str) -> Scenari
     return _checked(replace(scenario, **{section: changed}), f"sweeps.{axis} = {value_text(value)}")
 
 
-def study_scenario(scenario: Scenario, method: Method, gain: Gain) -> Scenario:
-    """Return the scenario of the gain study: its robots and a cell just large enough for them.
+def study_scenario(scenario: Scenario, method: GainMethod, gain: Gain) -> Scenario:
+    """Return the scenario of the gain study: its robots, on the plant that the method is for.
 
     Raises
     ------
     ScenarioError
         If the method does not fit the rest of the scenario.
     """
-    robots = scenario.gain_study.num_robots
     control = replace(scenario.control, method=method, plant=STUDY_PLANTS[method], gain=gain)
+    variant = replace(scenario, control=control)
+    return robots_alone(variant, scenario.gain_study.num_robots, f"gain_study with {method}")
+
+
+def robots_alone(scenario: Scenario, num_robots: int, what: str) -> Scenario:
+    """Return the scenario with so many robots, in a cell just large enough for them.
+
+    Raises
+    ------
+    ScenarioError
+        If the scenario does not hold together; `what` is named.
+    """
     traffic = replace(scenario.traffic, urllc_offered_mbps=1.0, embb_offered_mbps=1.0)
     variant = replace(
         scenario,
-        users=Users(num_urllc=robots, num_embb=1),
-        radio=replace(scenario.radio, num_prb=robots + 1),
+        users=Users(num_urllc=num_robots, num_embb=1),
+        radio=replace(scenario.radio, num_prb=num_robots + 1),
         traffic=traffic,
-        control=control,
     )
-    return _checked(variant, f"gain_study with {method}")
+    return _checked(variant, what)
+
+
+def baseline_method(scenario: Scenario, method: GainMethod) -> GainMethod:
+    """Return the method whose runs with nominal gains serve a method: the first on its plant."""
+    plant = STUDY_PLANTS[method]
+    return next(name for name in scenario.gain_study.methods if STUDY_PLANTS[name] == plant)
+
+
+def weighted_scenario(scenario: Scenario, weight: float) -> Scenario:
+    """Return the scenario with another weight q of its regulator."""
+    return replace(scenario, control=replace(scenario.control, weight=weight))
 
 
 def gain_designs(scenario: Scenario) -> dict[str, Scenario]:
     """Return the gain schedules of a study: name of the file -> the scenario it is designed for.
 
     ``schedule`` is the scenario's own; ``schedule_<h>`` are those of the other sampling intervals
-    of the sweep; ``schedule_<method>`` those of the gain study that are not the scenario's own.
+    of the sweep; ``schedule_<method>`` those of the gain study that are not the scenario's own, and
+    ``schedule_q<q>`` those of its other weights.
     """
+    own = scenario.control
     designs = {"schedule": scenario}
     for value in scenario.sweeps.sampling_s:
-        if value != scenario.control.sampling_s:
+        if value != own.sampling_s:
             designs[f"schedule_{value_text(value)}"] = swept_scenario(scenario, "sampling_s", value)
-    for method, plant in STUDY_PLANTS.items():
-        if (method, plant) != (scenario.control.method, scenario.control.plant):
-            control = replace(scenario.control, method=method, plant=plant)
+    for method in scenario.gain_study.methods:
+        plant = STUDY_PLANTS[method]
+        if (method, plant) != (own.method, own.plant):
+            control = replace(own, method=method, plant=plant)
             designs[f"schedule_{method}"] = _checked(
                 replace(scenario, control=control), f"gain_study with {method}"
             )
+    for weight in scenario.gain_study.weight:
+        if weight != own.weight:
+            designs[f"schedule_q{value_text(weight)}"] = weighted_scenario(scenario, weight)
     return designs
 
 
