@@ -342,6 +342,24 @@ def _queue_lanes(constants: SlotConstants) -> NDArray[np.float64]:
     return lanes
 
 
+def user_terms(constants: SlotConstants) -> UserTerms:
+    """Terms of a slot's Lagrangian; backlogs, service offsets and multipliers are still 0."""
+    num_users = len(constants.offered_mbps)
+    return UserTerms(
+        backlog_packets=np.zeros(num_users),
+        offered_mbps=constants.offered_mbps,
+        rate_sensitivity=constants.rate_sensitivity,
+        arrival_packets_per_mbps=constants.arrival_packets_per_mbps,
+        service_offset_mbps=np.zeros(num_users),
+        service_packets_per_mbps=constants.service_packets_per_mbps,
+        penalty_weight=constants.penalty_weight,
+        epsilon=constants.epsilon,
+        multiplier=np.zeros(num_users),
+        delay_exponent_per_mbps=constants.delay_exponent_per_mbps,
+        violation_share=constants.violation_share,
+    )
+
+
 def slot_scratch(constants: SlotConstants) -> SlotScratch:
     """Work arrays for one caller of the slot loop."""
     num_users = len(constants.offered_mbps)
@@ -355,19 +373,7 @@ def slot_scratch(constants: SlotConstants) -> SlotScratch:
         users=_user_lanes(constants),
         arrivals=np.zeros((blocks, NUM_ARRIVAL_LANES)),
         queues=_queue_lanes(constants),
-        terms=UserTerms(
-            backlog_packets=np.zeros(num_users),
-            offered_mbps=constants.offered_mbps,
-            rate_sensitivity=constants.rate_sensitivity,
-            arrival_packets_per_mbps=constants.arrival_packets_per_mbps,
-            service_offset_mbps=np.zeros(num_users),
-            service_packets_per_mbps=constants.service_packets_per_mbps,
-            penalty_weight=constants.penalty_weight,
-            epsilon=constants.epsilon,
-            multiplier=np.zeros(num_users),
-            delay_exponent_per_mbps=constants.delay_exponent_per_mbps,
-            violation_share=constants.violation_share,
-        ),
+        terms=user_terms(constants),
         allocation=allocation_scratch(num_users, num_prb),
         path=path_scratch(constants.robots.steps_per_slot),
         slot=slot,
