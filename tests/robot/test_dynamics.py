@@ -28,7 +28,7 @@ from hiersched.robot.dynamics import (
     robot_state,
 )
 from hiersched.robot.plant import discretise, unicycle_error_model
-from hiersched.robot.reference import PathShape, reference_table
+from hiersched.robot.reference import PathShape, driven_table, reference_table
 
 LAG_S = 0.1
 SHAPE = PathShape(
@@ -41,8 +41,14 @@ SHAPE = PathShape(
 
 def constants(reference="straight", *, step_s=0.0025, speed_mps=1.0, noise=0.0, max_delay=3,
               local=None, network=None, inputs=None, limit=(2.0, 4.0)):  # fmt: skip
-    table, offset = reference_table(reference, SHAPE, speed_mps, step_s, 4000, 1)
-    half = 0.5 * step_s * table.turn_rate_radps
+    if reference == "file":  # speeds from 0 to 1.6 m/s, turn rates from -0.9 to 0.9 rad/s
+        time_s = np.linspace(0.0, 10.0, 201)
+        table, offset = driven_table(
+            time_s, 0.8 * time_s - 0.4 * np.sin(2 * time_s), 0.3 * np.sin(3 * time_s), np.zeros(2),
+            repeat=False, step_s=step_s, num_steps=4000, num_robots=1,
+        )  # fmt: skip
+    else:
+        table, offset = reference_table(reference, SHAPE, speed_mps, step_s, 4000, 1)
     decay = math.exp(-step_s / LAG_S)
     zeros = np.zeros((max_delay + 1, 2, 5))
     return RobotConstants(
@@ -54,10 +60,7 @@ def constants(reference="straight", *, step_s=0.0025, speed_mps=1.0, noise=0.0, 
         network_gain=zeros if network is None else network, has_memory=inputs is not None,
         input_gain=np.zeros((max_delay + 1, max_delay, 2, 2)) if inputs is None else inputs,
         hold_samples=0, adjusted_delay_steps=np.zeros(max_delay + 1, np.uint32),
-        speed_mps=speed_mps,
-        path=np.stack([table.turn_rate_radps, np.cos(half), np.sin(half),
-                       speed_mps * step_s * np.sinc(half / math.pi)], axis=1),
-        pose=table.pose, offset=offset,
+        path=table.rows(), pose=table.pose, offset=offset,
     )  # fmt: skip
 
 
@@ -81,7 +84,7 @@ def move_in_lane(robot, state, control, slip, steps, place, lane):
     path = path_scratch(steps)
     gather_path(robot.path, place, steps, lane, path)
     for step in path.reshape(steps, NUM_PATH * LANES):
-        move_lanes(robot.step_s, robot.speed_mps, robot.lag_mean, robot.lag_decay, step, lanes)
+        move_lanes(robot.step_s, robot.lag_mean, robot.lag_decay, step, lanes)
     return lanes
 
 
@@ -101,7 +104,7 @@ def test_first_order_is_the_discretised_plant(speed_mps):
         np.testing.assert_allclose(column, B[:, j], atol=2e-6)
 
 
-@pytest.mark.parametrize("reference", ["straight", "arc", "figure_eight", "zigzag"])
+@pytest.mark.parametrize("reference", ["straight", "arc", "figure_eight", "zigzag", "file"])
 def test_without_slip_a_robot_stays_on_its_reference(reference):
     """Open loop for 10 s: the midpoint rule drifts by v T (ω Δt)² / 24, 0.04 mm on the zig-zag."""
     robot = constants(reference)
@@ -111,16 +114,16 @@ def test_without_slip_a_robot_stays_on_its_reference(reference):
     np.testing.assert_array_equal(end[2:], 0.0)
 
 
-@pytest.mark.parametrize("reference", ["straight", "figure_eight", "zigzag"])
+@pytest.mark.parametrize("reference", ["straight", "figure_eight", "zigzag", "file"])
 def test_motion_is_that_of_the_unicycle_in_the_world(reference):
     """Integrate x' = v cos θ, y' = v sin θ, θ' = ω in the world, then change the frame."""
     start, control, slip = np.array([0.1, -0.2, 0.6, 0.3, -0.5]), (0.4, 1.1), (0.05, -0.2)
     robot, steps = constants(reference, speed_mps=0.9), 200
     pose = robot.pose
 
-    def rate(z, turn):
+    def rate(z, reference_speed, turn):
         theta, v, w = z[2:]
-        speed, omega = 0.9 + v + slip[0], turn + w + slip[1]
+        speed, omega = reference_speed + v + slip[0], turn + w + slip[1]
         lag = (control[0] - v) / LAG_S, (control[1] - w) / LAG_S
         return np.array([speed * math.cos(theta), speed * math.sin(theta), omega, *lag])
 
@@ -131,12 +134,12 @@ def test_motion_is_that_of_the_unicycle_in_the_world(reference):
     z = np.array(
         [*(pose[0, :2] + frame(pose[0, 2]).T @ start[:2]), pose[0, 2] + start[2], *start[3:]]
     )
-    for turn in robot.path[:steps, 0]:  # Runge and Kutta's fourth order: exact beside the other
+    for at in robot.path[:steps, [4, 0]]:  # Runge and Kutta's fourth order: exact beside the other
         h = robot.step_s
-        k1 = rate(z, turn)
-        k2 = rate(z + 0.5 * h * k1, turn)
-        k3 = rate(z + 0.5 * h * k2, turn)
-        z = z + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(z + h * k3, turn))
+        k1 = rate(z, *at)
+        k2 = rate(z + 0.5 * h * k1, *at)
+        k3 = rate(z + 0.5 * h * k2, *at)
+        z = z + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(z + h * k3, *at))
     error = frame(pose[steps, 2]) @ (z[:2] - pose[steps, :2])
     heading = (z[2] - pose[steps, 2] + math.pi) % (2 * math.pi) - math.pi
     got = move(robot, start, control, slip, steps)

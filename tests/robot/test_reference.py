@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from hiersched.robot.reference import PathShape, reference_table
+from hiersched.robot.reference import PathShape, driven_table, reference_table
 
 STEP_S = 0.0025
 SHAPE = PathShape(
@@ -81,6 +81,48 @@ def test_robots_start_evenly_spread_over_the_period():
     np.testing.assert_allclose(offset, period * np.arange(4) / 4, atol=0.5)
     assert len(made.turn_rate_radps) == 1200 + offset[-1]
     assert len(made.pose) == len(made.turn_rate_radps) + 1
+
+
+def driven(time_s, arc_m, heading_rad, *, num_steps, repeat=False, robots=1):
+    arrays = (np.asarray(values, float) for values in (time_s, arc_m, heading_rad))
+    return driven_table(*arrays, np.array([1.0, -2.0]), repeat=repeat, step_s=STEP_S,
+                        num_steps=num_steps, num_robots=robots)  # fmt: skip
+
+
+def test_points_on_an_arc_give_the_arc():
+    """Two points suffice: between them lies an arc, from wherever it starts."""
+    arc, _ = table("arc", 6.0)
+    made, offset = driven([0.0, 6.0], [0.0, 6.0], [0.5, 0.5 + 6.0 / 7.0], num_steps=2400, robots=3)
+    assert offset.tolist() == [0, 0, 0]
+    np.testing.assert_allclose(made.rows(), arc.rows(), rtol=1e-9)
+    c, s = math.cos(0.5), math.sin(0.5)
+    turned = arc.pose[:, :2] @ np.array([[c, s], [-s, c]]) + [1.0, -2.0]
+    np.testing.assert_allclose(made.pose[:, :2], turned, atol=1e-9)
+    np.testing.assert_allclose(made.pose[:, 2], 0.5 + arc.pose[:, 2], atol=1e-12)
+
+
+def test_speed_between_points_is_that_of_the_points():
+    """A standstill, 2 m/s, 0.5 m/s; the corners need not be ends of steps."""
+    time_s, arc_m = [0.0, 0.101, 1.1, 2.0], [0.0, 0.0, 1.998, 2.448]
+    made, _ = driven(time_s, arc_m, np.zeros(4), num_steps=800)
+    ends = np.arange(801) * STEP_S
+    np.testing.assert_allclose(made.pose[:, 0], 1.0 + np.interp(ends, time_s, arc_m), atol=1e-12)
+    assert not made.speed_mps[:40].any()
+    np.testing.assert_allclose(made.speed_mps[41:440], 2.0, rtol=1e-9)
+    np.testing.assert_allclose(made.speed_mps[440:], 0.5, rtol=1e-9)
+    assert made.speed_mps[40] == pytest.approx(2.0 * 0.0015 / 0.0025)
+
+
+def test_a_path_starts_over_from_where_it_ends():
+    """Half a circle, repeated, is a circle; robots are spread over the half."""
+    made, offset = driven([0.0, 3.1], [0.0, 3.1], [0.0, math.pi], num_steps=2480, repeat=True,
+                          robots=2)  # fmt: skip
+    assert offset.tolist() == [0, 620]
+    np.testing.assert_allclose(made.speed_mps, 1.0, rtol=1e-9)
+    np.testing.assert_allclose(made.turn_rate_radps, math.pi / 3.1, rtol=1e-9)
+    np.testing.assert_allclose(made.pose[2480, :2], [1.0, -2.0], atol=1e-9)
+    with pytest.raises(ValueError, match=r"ends after 3.1 s, before 3.1025 s"):
+        driven([0.0, 3.1], [0.0, 3.1], [0.0, math.pi], num_steps=1241)
 
 
 def test_unknown_reference_is_named():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -168,6 +169,24 @@ def test_without_slip_and_noise_robots_stay_on_their_reference(make_simulator, r
     simulator = make_simulator(1, 300, robot={**STILL, "reference": reference})
     record = simulator.run_robots(forced(0.05, 1, 300))
     assert record.tracking_error_m.max() < 1e-6
+
+
+def test_robots_follow_a_file(make_simulator):
+    """A quarter of a circle at a speed that rises from 0 to 2 m/s, then back along its like."""
+    angle = np.linspace(0.0, math.pi / 2, 50)
+    times = 2.0 * np.sqrt(angle)
+    points = tuple(zip(times, 2 * np.sin(angle), 2 - 2 * np.cos(angle), angle, strict=True))
+    robot = {**STILL, "reference": "file", "reference_points": points, "reference_repeat": True}
+    record = make_simulator(1, 300, robot=robot).run_robots(forced(0.05, 1, 300))
+    assert record.tracking_error_m.max() < 1e-4
+    first = record.reference[0, :, 0]
+    ends = 0.01 * np.arange(1, 251)
+    driven = np.interp(ends, times, angle)
+    np.testing.assert_allclose(first[:250, 2], driven, atol=1e-9)
+    np.testing.assert_allclose(first[:250, 0], 2 * np.sin(driven), atol=1e-3)
+    np.testing.assert_allclose(first[:250, 4], 0.5 * first[:250, 3], rtol=1e-6)
+    assert first[:250, 3].max() > 1.9
+    assert (record.reference[0, 0, :, 2] > 0.1).sum() == 3  # the others start further on
 
 
 def growth(make_simulator, delay_steps, num_slots=800):

@@ -33,7 +33,7 @@ that the compiler knows, it proves that fields do not overlap, and uses whole ve
     _END,
 ) = (LANES * place for place in (0, 5, 7, 9, 12, 13, 18))
 
-NUM_PATH = 4
+NUM_PATH = 5
 
 
 class RobotConstants(NamedTuple):
@@ -43,8 +43,8 @@ class RobotConstants(NamedTuple):
     nominal. `local_gain` and `network_gain`, shape (T_max + 1, 2, 5), act on the present and on the
     delayed measurement, `input_gain`, shape (T_max + 1, T_max, 2, 2), on past commands, the newest
     first; `has_memory` says whether any of it is not 0; an entry is held for `hold_samples`.
-    `path`, shape (N, 4), describes the reference in each step: turn rate, cosine and sine of half
-    the step's turn, chord; `offset`, shape (R,), is where each robot starts in it.
+    `path`, shape (N, 5), describes the reference in each step: turn rate, cosine and sine of half
+    the step's turn, chord, speed; `offset`, shape (R,), is where each robot starts in it.
     """
 
     step_s: float
@@ -69,7 +69,6 @@ class RobotConstants(NamedTuple):
     has_memory: bool
     hold_samples: int
     adjusted_delay_steps: NDArray[np.uint32]
-    speed_mps: float
     path: NDArray[np.float64]
     pose: NDArray[np.float64]
     offset: NDArray[np.int64]
@@ -258,7 +257,6 @@ def close_loop(
 @kernel(forceinline=True)
 def move_lanes(
     step_s: float,
-    speed_mps: float,
     lag_mean: float,
     lag_decay: float,
     path: NDArray[np.float64],
@@ -272,10 +270,10 @@ def move_lanes(
 
     Parameters
     ----------
-    step_s, speed_mps, lag_mean, lag_decay
+    step_s, lag_mean, lag_decay
         As in `RobotConstants`.
     path
-        Reference of this step, shape (4 LANES,), from `gather_path`.
+        Reference of this step, shape (5 LANES,), from `gather_path`.
     lanes
         The block, in place.
     """
@@ -284,12 +282,13 @@ def move_lanes(
         c = path[LANES + lane]
         s = path[2 * LANES + lane]
         chord = path[3 * LANES + lane]
+        speed = path[4 * LANES + lane]
         control_v = lanes[CONTROL + lane]
         control_w = lanes[CONTROL + LANES + lane]
         heading = lanes[STATE + 2 * LANES + lane]
         dv = lanes[STATE + 3 * LANES + lane] - control_v
         dw = lanes[STATE + 4 * LANES + lane] - control_w
-        velocity = speed_mps + control_v + dv * lag_mean + lanes[SLIP + lane]
+        velocity = speed + control_v + dv * lag_mean + lanes[SLIP + lane]
         turn_error = control_w + dw * lag_mean + lanes[SLIP + LANES + lane]
         middle = wrap_angle(heading + 0.5 * step_s * turn_error)
         half_sine = sin_half(middle)

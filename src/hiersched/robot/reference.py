@@ -1,7 +1,7 @@
 """References that the robots follow, sampled at the midpoint of every integration step.
 
-A reference is a path at constant speed, given by its curvature over the arc length; the pose
-follows by integration.
+A reference is a path, given by its curvature over the arc length and driven at constant speed, or
+by points of a file; the pose follows by integration.
 """
 
 from __future__ import annotations
@@ -29,12 +29,26 @@ class PathShape:
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceTable:
-    """Poses (N + 1, 3) in m and rad at the ends of N steps, turn rate (N,) in rad/s within."""
+    """Poses (N + 1, 3) in m and rad at the ends of N steps, speed and turn rate (N,) within."""
 
-    speed_mps: float
     step_s: float
     pose: NDArray[np.float64]
+    speed_mps: NDArray[np.float64]
     turn_rate_radps: NDArray[np.float64]
+
+    def rows(self) -> NDArray[np.float64]:
+        """Return what the motion needs of each step, shape (N, 5): see `RobotConstants.path`."""
+        half_turn = 0.5 * self.step_s * self.turn_rate_radps
+        return np.stack(
+            [
+                self.turn_rate_radps,
+                np.cos(half_turn),
+                np.sin(half_turn),
+                self.speed_mps * self.step_s * np.sinc(half_turn / math.pi),
+                self.speed_mps,
+            ],
+            axis=1,
+        )
 
 
 def _straight(arc_m: NDArray[np.float64], shape: PathShape) -> NDArray[np.float64]:
@@ -129,13 +143,71 @@ def reference_table(
     total = num_steps + int(offset.max(initial=0))
     middle_m = (np.arange(total, dtype=np.float64) + 0.5) * (step_s * speed_mps)
     turn_rate = speed_mps * _CURVATURE[name](middle_m, shape)
-    heading = np.concatenate([[0.0], np.cumsum(turn_rate * step_s)])
+    return _integrated(np.full(total, speed_mps), turn_rate, step_s, np.zeros(3)), offset
+
+
+def driven_table(
+    time_s: NDArray[np.float64],
+    arc_m: NDArray[np.float64],
+    heading_rad: NDArray[np.float64],
+    start_m: NDArray[np.float64],
+    *,
+    repeat: bool,
+    step_s: float,
+    num_steps: int,
+    num_robots: int,
+) -> tuple[ReferenceTable, NDArray[np.int64]]:
+    """Sample a reference that is given by points, with arcs of circles at constant speed between.
+
+    Parameters
+    ----------
+    time_s, arc_m, heading_rad
+        Time from 0 on, way so far and heading at each point, shape (P,).
+    start_m
+        Where it starts: x and y.
+    repeat
+        Whether the motion starts over after the last point, from where it ends. Robots then start
+        evenly spread over it, else all at its beginning.
+    step_s, num_steps, num_robots
+        As for `reference_table`. A step that holds a point takes the mean speed and turn rate.
+
+    Returns
+    -------
+    table, offset
+        As for `reference_table`.
+
+    Raises
+    ------
+    ValueError
+        If the reference ends too early.
+    """
+    period_s = float(time_s[-1])
+    spread = period_s / step_s / num_robots if repeat else 0.0
+    offset = np.array([round(spread * robot) for robot in range(num_robots)], dtype=np.int64)
+    ends_s = np.arange(num_steps + int(offset.max(initial=0)) + 1) * step_s
+    if not repeat and ends_s[-1] > period_s * (1.0 + 1e-9):
+        raise ValueError(f"the reference ends after {period_s:.12g} s, before {ends_s[-1]:.12g} s")
+    rounds = np.floor(ends_s / period_s) if repeat else np.zeros_like(ends_s)
+    within_s = ends_s - rounds * period_s
+    arc = np.interp(within_s, time_s, arc_m) + rounds * (arc_m[-1] - arc_m[0])
+    heading = np.interp(within_s, time_s, heading_rad) + rounds * (heading_rad[-1] - heading_rad[0])
+    start = np.array([*start_m, heading_rad[0]])
+    return _integrated(np.diff(arc) / step_s, np.diff(heading) / step_s, step_s, start), offset
+
+
+def _integrated(
+    speed_mps: NDArray[np.float64],
+    turn_rate: NDArray[np.float64],
+    step_s: float,
+    start: NDArray[np.float64],
+) -> ReferenceTable:
+    """Poses from a start (x, y, heading) on, from the speed and turn rate of every step."""
+    heading = start[2] + np.concatenate([[0.0], np.cumsum(turn_rate * step_s)])
     middle_heading = 0.5 * (heading[1:] + heading[:-1])
     # Chord of a circular arc: the reference turns within the step.
     half_turn = 0.5 * turn_rate * step_s
     chord_m = speed_mps * step_s * np.sinc(half_turn / math.pi)
-    x = np.concatenate([[0.0], np.cumsum(chord_m * np.cos(middle_heading))])
-    y = np.concatenate([[0.0], np.cumsum(chord_m * np.sin(middle_heading))])
+    x = start[0] + np.concatenate([[0.0], np.cumsum(chord_m * np.cos(middle_heading))])
+    y = start[1] + np.concatenate([[0.0], np.cumsum(chord_m * np.sin(middle_heading))])
     pose = np.stack([x, y, heading], axis=1)
-    table = ReferenceTable(speed_mps=speed_mps, step_s=step_s, pose=pose, turn_rate_radps=turn_rate)
-    return table, offset
+    return ReferenceTable(step_s=step_s, pose=pose, speed_mps=speed_mps, turn_rate_radps=turn_rate)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hiersched.scenario.reference_file import reference_faults
 from hiersched.scenario.schema import Scenario, delay_steps
 
 LEAST_SNR_DB = -80.0
@@ -27,6 +28,7 @@ def inconsistencies(scenario: Scenario) -> list[str]:
         *_link_budget(scenario),
         *_times(scenario),
         *_control(scenario),
+        *reference_faults(scenario),
         *_arrivals(scenario),
         *_learning(scenario),
         *_studies(scenario),

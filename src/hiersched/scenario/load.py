@@ -14,6 +14,7 @@ import yaml
 from pydantic import TypeAdapter, ValidationError
 
 from hiersched.scenario.consistency import inconsistencies
+from hiersched.scenario.reference_file import ReferenceFileError, read_reference
 from hiersched.scenario.schema import Scenario
 
 CONFIG = Path("config")
@@ -177,6 +178,27 @@ def _find_defaults(scenario: Path) -> Path:
     return found
 
 
+def _with_points(merged: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Put the rows of the reference file into the scenario, unless it holds them already."""
+    robot, sweeps = merged.get("robot"), merged.get("sweeps")
+    if not isinstance(robot, dict) or not isinstance(sweeps, dict):
+        return merged  # validation says what is wrong
+    name = robot.get("reference_file")
+    if not isinstance(name, str) or robot.get("reference_points") is not None:
+        return merged
+    swept = sweeps.get("reference")
+    if robot.get("reference") != "file" and not (isinstance(swept, list) and "file" in swept):
+        raise ScenarioError(
+            f"{path}: robot.reference_file = {name!r}: needs robot.reference: file (or file among "
+            "sweeps.reference)"
+        )
+    try:
+        points = read_reference(path.parent / name)
+    except ReferenceFileError as error:
+        raise ScenarioError(f"{path}: robot.reference_file: {error}") from error
+    return {**merged, "robot": {**robot, "reference_points": [list(point) for point in points]}}
+
+
 def load_scenario(name_or_path: str | Path, *, defaults: Path | None = None) -> Scenario:
     """Load, merge and validate a scenario.
 
@@ -198,7 +220,7 @@ def load_scenario(name_or_path: str | Path, *, defaults: Path | None = None) -> 
     path = find_scenario(name_or_path)
     defaults = defaults if defaults is not None else _find_defaults(path)
     overlay = _read_yaml(path)
-    merged = _merge(_read_yaml(defaults), overlay)
+    merged = _with_points(_merge(_read_yaml(defaults), overlay), path)
     merged.setdefault("name", path.stem)
     try:
         text = json.dumps(merged)

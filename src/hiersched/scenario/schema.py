@@ -15,7 +15,7 @@ Share = Annotated[float, Field(gt=0, lt=1)]
 Count = Annotated[int, Field(ge=1)]
 Seed = Annotated[int, Field(ge=0, lt=2**31)]
 GainMethod = Literal["krasovskii", "razumikhin", "predictor", "latency_compensated", "h2"]
-Reference = Literal["straight", "arc", "figure_eight", "zigzag"]
+Reference = Literal["straight", "arc", "figure_eight", "zigzag", "file"]
 PolicyName = Literal[
     "ddpg",
     "pf",
@@ -109,6 +109,9 @@ class Robot:
 
     __pydantic_config__ = _STRICT
     reference: Reference
+    reference_file: str | None
+    reference_points: tuple[tuple[float, float, float, float], ...] | None
+    reference_repeat: bool
     arc_radius_m: Positive
     eight_half_width_m: Positive
     zigzag_heading_deg: Annotated[float, Field(gt=0, le=90)]

@@ -278,7 +278,6 @@ def _drive_robots(
             of_step = (step - first) * NUM_PATH * LANES
             move_lanes(
                 robots.step_s,
-                robots.speed_mps,
                 robots.lag_mean,
                 robots.lag_decay,
                 path[of_step : of_step + NUM_PATH * LANES],
@@ -328,7 +327,7 @@ def _record_robot(
     pose = robots.pose[place]
     for j in range(3):
         reference[j] = pose[j]
-    reference[3] = robots.speed_mps
+    reference[3] = robots.path[place - 1, 4]
     reference[4] = robots.path[place - 1, 0]
     control = record.control[robot]
     control[0] = lanes[CONTROL + lane]

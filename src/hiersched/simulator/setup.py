@@ -17,8 +17,9 @@ from hiersched.network.traffic import MAX_MEAN, NUM_ARRIVAL_LANES
 from hiersched.radio.channel import large_scale_gain, snr_per_fading_power
 from hiersched.randomness import NormalScratch, normal_scratch
 from hiersched.robot.dynamics import RobotConstants, RobotState, path_scratch, robot_state
-from hiersched.robot.reference import PathShape, reference_table
-from hiersched.scenario.schema import Scenario
+from hiersched.robot.reference import PathShape, ReferenceTable, driven_table, reference_table
+from hiersched.scenario.reference_file import arc_lengths, turns
+from hiersched.scenario.schema import Robot, Scenario
 from hiersched.simulator.records import SlotFields, SlotLayout
 from hiersched.simulator.users import (
     MEAN_DUE,
@@ -216,17 +217,7 @@ def robot_constants(
     steps_per_slot = round(slot_s / step_s)
     needed = scenario.max_delay_steps + 1
     tables = _gain_tables(gains, needed)
-    shape = PathShape(
-        arc_radius_m=robot.arc_radius_m,
-        eight_half_width_m=robot.eight_half_width_m,
-        zigzag_heading_rad=math.radians(robot.zigzag_heading_deg),
-        zigzag_period_m=robot.zigzag_period_m,
-    )
-    steps = num_slots * steps_per_slot
-    table, offset = reference_table(
-        robot.reference, shape, robot.speed_mps, step_s, steps, num_robots
-    )
-    half_turn = 0.5 * step_s * table.turn_rate_radps
+    table, offset = _reference(robot, num_slots * steps_per_slot, num_robots)
     decay = float(np.exp(-step_s / robot.actuator_lag_s))
     slip_decay = float(np.exp(-slot_s / robot.slip_time_s))
     slip_spread = float(np.sqrt(1.0 - slip_decay**2))
@@ -251,18 +242,36 @@ def robot_constants(
         has_memory=bool(tables["input_gain"].any()),
         hold_samples=control.hold_samples,
         adjusted_delay_steps=np.where(gains.adjusted, np.arange(needed), 0).astype(np.uint32),
-        speed_mps=robot.speed_mps,
-        path=np.stack(
-            [
-                table.turn_rate_radps,
-                np.cos(half_turn),
-                np.sin(half_turn),
-                robot.speed_mps * step_s * np.sinc(half_turn / np.pi),
-            ],
-            axis=1,
-        ),
+        path=table.rows(),
         pose=table.pose,
         offset=offset,
+    )
+
+
+def _reference(
+    robot: Robot, num_steps: int, num_robots: int
+) -> tuple[ReferenceTable, NDArray[np.int64]]:
+    """Sample the reference of the robots and say where in it each of them starts."""
+    if robot.reference == "file":
+        points = np.array(robot.reference_points, dtype=np.float64)
+        return driven_table(
+            points[:, 0],
+            np.concatenate([[0.0], np.cumsum(arc_lengths(points))]),
+            points[0, 3] + np.concatenate([[0.0], np.cumsum(turns(points))]),
+            points[0, 1:3],
+            repeat=robot.reference_repeat,
+            step_s=robot.substep_s,
+            num_steps=num_steps,
+            num_robots=num_robots,
+        )
+    shape = PathShape(
+        arc_radius_m=robot.arc_radius_m,
+        eight_half_width_m=robot.eight_half_width_m,
+        zigzag_heading_rad=math.radians(robot.zigzag_heading_deg),
+        zigzag_period_m=robot.zigzag_period_m,
+    )
+    return reference_table(
+        robot.reference, shape, robot.speed_mps, robot.substep_s, num_steps, num_robots
     )
 
 

@@ -232,4 +232,6 @@ def _at(values: Any, key: str) -> Any:
 
 
 def _plain(value: Any) -> str:
+    if isinstance(value, list) and value and isinstance(value[0], list):
+        return f"{len(value)} rows"
     return value if isinstance(value, str) else json.dumps(value)
