@@ -66,14 +66,19 @@ def study(small: Scenario, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def rewrite() -> Callable[..., Path]:
     """Write a log once more, with something in it changed: all its checksums are right."""
 
-    def write(source: Path, target: Path, change: Callable[[dict, list, dict], None]) -> Path:
+    def write(
+        source: Path,
+        target: Path,
+        change: Callable[[dict, list, dict], None],
+        attached: dict[str, bytes] | None = None,
+    ) -> Path:
         with LogReader(source) as log:
             fields: dict[str, Any] = {}
             for topic in log.topics:
                 fields |= log.read(topic)
             events, metadata = log.events(), dict(log.metadata)
             dims, profile, slot_ns = log.dims, log.profile, log.slot_ns
-            attachments = log.attachments
+            attachments = {**log.attachments, **(attached or {})}
         first = int(fields.pop("slot")[0])
         change(fields, events, metadata)
         with LogWriter(target, dims, profile, metadata, attachments, slot_ns=slot_ns) as writer:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from hiersched.log import TOPICS, LogError, LogReader, LogWriter
 from hiersched.replay import source
@@ -30,7 +33,7 @@ def test_every_log_of_a_study_is_what_the_simulator_computes(study: Path) -> Non
         ("train", "ddpg"): 1,
         **{("evaluate", policy): 2 for policy in ("ddpg", "pf", "edf", "drift_plus_penalty")},
         **{("sweep", policy): 2 for policy in ("ddpg", "pf")},
-        ("gain_study", "none"): 4,
+        ("gain_study", "none"): 2 + 5,  # nominal on both plants, five methods
     }
 
 
@@ -142,3 +145,22 @@ def test_logs_that_cannot_be_run_again_say_why(study: Path, tmp_path: Path, rewr
             writer.write_block(3, part)
     with pytest.raises(LogError, match="does not have all slots from 0 on"):
         load_run(tmp_path / "b.mcap")
+
+
+def test_a_log_of_an_older_version_is_computed_with_todays_defaults(
+    study: Path, tmp_path: Path, project_root: Path, rewrite: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Keys that came later are named; whether their defaults are right, the bits say."""
+    monkeypatch.chdir(project_root)
+    old = yaml.safe_load(load_run(study / FULL).attachments["scenario.yaml"])
+    del old["log"]["chunk_bytes"], old["bound"]
+    text = json.dumps(old, sort_keys=True, separators=(",", ":"))
+
+    def change(fields: dict[str, Any], events: list, metadata: dict) -> None:
+        metadata["scenario_sha256"] = hashlib.sha256(text.encode()).hexdigest()
+
+    attached = {"scenario.yaml": yaml.safe_dump(old).encode()}
+    path = rewrite(study / FULL, tmp_path / "old.mcap", change, attached)
+    run = load_run(path)
+    assert set(run.added_keys) == {"log.chunk_bytes", "bound.slots_per_log"}
+    assert verify(run) is None

@@ -11,6 +11,7 @@ from hiersched.scenario import (
     Scenario,
     ScenarioError,
     delay_steps,
+    load_resolved,
     load_scenario,
     parameter_notes,
     scenario_sha256,
@@ -40,6 +41,29 @@ def test_resolved_scenario_reads_back_the_same(scenario, load_text):
     assert scenario_sha256(again) == scenario_sha256(scenario)
     assert scenario_to_yaml(again) == scenario_to_yaml(scenario)
     assert yaml.safe_load(scenario_to_yaml(scenario)) == scenario_to_dict(scenario)
+
+
+def test_a_resolved_scenario_of_an_older_version_takes_todays_defaults(
+    scenario, config, monkeypatch
+):
+    """Its hash is that of what is written, and the keys that it lacks are named."""
+    monkeypatch.chdir(config.parent)
+    written = scenario_to_dict(scenario)
+    whole = load_resolved(yaml.safe_dump(written), config / "x.yaml")
+    assert whole == (scenario, (), scenario_sha256(scenario))
+    del written["robot"]["window_s"], written["radio"]["num_prb"]
+    older, added, sha256 = load_resolved(yaml.safe_dump(written), config / "x.yaml")
+    assert set(added) == {"robot.window_s", "radio.num_prb"}
+    assert sha256 != scenario_sha256(scenario)
+    defaults = yaml.safe_load((config / "defaults.yaml").read_text(encoding="utf-8"))
+    assert older.radio.num_prb == defaults["radio"]["num_prb"]
+
+
+def test_a_resolved_scenario_with_a_fault_names_where_it_is_from(scenario, config):
+    written = scenario_to_dict(scenario)
+    written["radio"]["num_prb"] = -3
+    with pytest.raises(ScenarioError, match=r"run\.mcap.*radio\.num_prb = -3"):
+        load_resolved(yaml.safe_dump(written), config / "run.mcap")
 
 
 def test_overlay_replaces_what_it_names_and_nothing_else(load_text, config):
@@ -105,7 +129,7 @@ def test_a_key_without_its_note_is_refused(tmp_path):
 
 
 def test_every_scheduler_can_be_named_in_a_scenario():
-    assert set(PolicyName.__args__) == {"ddpg", *CLASSICAL}
+    assert set(PolicyName.__args__) >= {"exact", *CLASSICAL}
 
 
 @pytest.mark.parametrize(

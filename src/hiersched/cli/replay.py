@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -41,6 +42,12 @@ def _replay(parsed: argparse.Namespace) -> int:
     if parsed.out and not parsed.policy:
         raise InputError("--out says where the log of --policy goes: give that too")
     run = load_run(parsed.log)
+    if run.added_keys:
+        print(
+            f"{parsed.log}: older than these keys, which take today's defaults: "
+            f"{', '.join(run.added_keys)}",
+            file=sys.stderr,
+        )
     if parsed.policy:
         return _counterfactual(run, parsed.policy, parsed.out)
     try:
@@ -101,12 +108,13 @@ def _show(comparison: Comparison) -> None:
         f"difference over {comparison.num_batches} stretches of time"
     )
     names = comparison.baseline, comparison.other
-    print(f"{'':<22}{names[0]:>14}{names[1]:>14}{'difference':>14}  interval")
+    first, second = (max(14, len(name) + 2) for name in names)
+    print(f"{'':<22}{names[0]:>{first}}{names[1]:>{second}}{'difference':>14}  interval")
     for name, unit, baseline, other, (mean, low, high) in (
         (m.name, m.unit, m.baseline, m.other, m.difference) for m in comparison.measures
     ):
         print(
-            f"{name:<22}{baseline:>14.6g}{other:>14.6g}{mean:>+14.4g}  "
+            f"{name:<22}{baseline:>{first}.6g}{other:>{second}.6g}{mean:>+14.4g}  "
             f"[{low:.4g}, {high:.4g}] {unit}"
         )
     if not comparison.partings:

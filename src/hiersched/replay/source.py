@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,9 +13,9 @@ from numpy.typing import NDArray
 from hiersched.control import GainSchedule
 from hiersched.log import LogError, LogReader
 from hiersched.randomness import world_key, world_keys
-from hiersched.runs.gains import load_gains
-from hiersched.scenario import Scenario, ScenarioError, load_scenario, scenario_sha256
+from hiersched.scenario import Scenario, ScenarioError, load_resolved
 from hiersched.simulator import Gains
+from hiersched.simulator.gains import loop_gains
 
 STAGES = ("train", "evaluate", "sweep", "gain_study")
 _BATCH_SLOTS = 8192  # what is computed at once: memory for a few dozen megabytes of records
@@ -64,6 +63,9 @@ class LoggedRun:
         ``full`` or ``compact``.
     scenario, schedule, gains
         What the run was of: from the attachments.
+    added_keys
+        Keys that the attached scenario lacks, since an older version wrote it: they have today's
+        defaults.
     keys
         World of each episode, shape (N,); but for training N is 1.
     episode_slots
@@ -79,6 +81,7 @@ class LoggedRun:
     scenario: Scenario
     schedule: GainSchedule
     gains: Gains
+    added_keys: tuple[str, ...]
     keys: NDArray[np.uint64]
     episode_slots: int
     num_slots: int
@@ -144,11 +147,14 @@ def load_run(path: str | os.PathLike[str]) -> LoggedRun:
     if metadata["stage"] not in STAGES:
         raise fail(f"its stage is {metadata['stage']!r}; allowed: {', '.join(STAGES)}")
     try:
-        scenario, schedule, gains = _attached(attachments)
+        scenario, added_keys, sha256 = load_resolved(
+            attachments["scenario.yaml"].decode(), Path(f"{path}: scenario.yaml")
+        )
+        schedule = GainSchedule.from_json(attachments["schedule.json"].decode())
         keys, episode_slots = _worlds(metadata, num_slots)
     except (ScenarioError, ValueError, KeyError) as error:
         raise fail(str(error)) from error
-    if scenario_sha256(scenario) != metadata["scenario_sha256"]:
+    if sha256 != metadata["scenario_sha256"]:
         raise fail("the attached scenario is not the one that its metadata name")
     return LoggedRun(
         path=Path(path),
@@ -157,21 +163,12 @@ def load_run(path: str | os.PathLike[str]) -> LoggedRun:
         profile=profile,
         scenario=scenario,
         schedule=schedule,
-        gains=gains,
+        gains=loop_gains(schedule, scenario.control.gain),
+        added_keys=added_keys,
         keys=keys,
         episode_slots=episode_slots,
         num_slots=num_slots,
     )
-
-
-def _attached(attachments: dict[str, bytes]) -> tuple[Scenario, GainSchedule, Gains]:
-    """Load the attached scenario, which is complete, and the attached gains."""
-    with tempfile.TemporaryDirectory() as folder:
-        files = {name: Path(folder, name) for name in ("scenario.yaml", "schedule.json")}
-        for name, file in files.items():
-            file.write_bytes(attachments[name])
-        scenario = load_scenario(files["scenario.yaml"], defaults=files["scenario.yaml"])
-        return scenario, *load_gains(files["schedule.json"], scenario)
 
 
 def _worlds(metadata: dict[str, str], num_slots: int) -> tuple[NDArray[np.uint64], int]:

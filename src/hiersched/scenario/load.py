@@ -52,6 +52,10 @@ def _read_yaml(path: Path) -> dict[str, Any]:
         text = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise ScenarioError(f"{path}: cannot be read: {error}") from error
+    return _parse_yaml(text, path)
+
+
+def _parse_yaml(text: str, path: Path) -> dict[str, Any]:
     try:
         data = yaml.load(text, Loader=_UniqueKeyLoader)
     except yaml.YAMLError as error:
@@ -222,6 +226,12 @@ def load_scenario(name_or_path: str | Path, *, defaults: Path | None = None) -> 
     overlay = _read_yaml(path)
     merged = _with_points(_merge(_read_yaml(defaults), overlay), path)
     merged.setdefault("name", path.stem)
+    return _validate(merged, overlay, path, defaults)
+
+
+def _validate(
+    merged: Mapping[str, Any], overlay: Mapping[str, Any], path: Path, defaults: Path
+) -> Scenario:
     try:
         text = json.dumps(merged)
     except (TypeError, ValueError) as error:
@@ -238,6 +248,44 @@ def load_scenario(name_or_path: str | Path, *, defaults: Path | None = None) -> 
     return scenario
 
 
+def load_resolved(text: str, origin: Path) -> tuple[Scenario, tuple[str, ...], str]:
+    """Load a scenario that was written complete, perhaps by a version with fewer keys.
+
+    Parameters
+    ----------
+    text
+        Resolved YAML, from `scenario_to_yaml`.
+    origin
+        Where it comes from, for errors.
+
+    Returns
+    -------
+    scenario, added, sha256
+        The scenario; the keys that it lacks, whose values are today's defaults; and the hash of
+        what is written, as `scenario_sha256` had it then.
+
+    Raises
+    ------
+    ScenarioError
+        As `load_scenario`; also where keys are missing and there is no file of defaults.
+    """
+    written = _parse_yaml(text, origin)
+    sha256 = _sha256(written)
+    known: dict[str, tuple[str, ...]] = {str(key): () for key in _allowed_keys(None)}
+    known.update(_KEYS_OF_SECTION)
+    missing = [
+        f"{section}.{key}" if key else section
+        for section, keys in known.items()
+        for key in (keys or ("",))
+        if (key not in written.get(section, {}) if key else section not in written)
+    ]
+    if not missing:
+        return _validate(written, written, origin, origin), (), sha256
+    defaults = _find_defaults(origin)
+    merged = _merge(_read_yaml(defaults), written)
+    return _validate(merged, written, origin, defaults), tuple(missing), sha256
+
+
 def scenario_to_dict(scenario: Scenario) -> dict[str, Any]:
     """Plain mapping of a scenario: numbers, text, lists and mappings only."""
     result: dict[str, Any] = json.loads(json.dumps(asdict(scenario)))
@@ -251,7 +299,11 @@ def scenario_to_yaml(scenario: Scenario) -> str:
 
 def scenario_sha256(scenario: Scenario) -> str:
     """Hash of the canonical JSON of a scenario."""
-    text = json.dumps(scenario_to_dict(scenario), sort_keys=True, separators=(",", ":"))
+    return _sha256(scenario_to_dict(scenario))
+
+
+def _sha256(data: Mapping[str, Any]) -> str:
+    text = json.dumps(data, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
 
 
