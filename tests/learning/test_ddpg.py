@@ -7,8 +7,9 @@ import pytest
 import torch
 
 from hiersched.env import agent_views
-from hiersched.learning.ddpg import Learner, StackedAdam
+from hiersched.learning.ddpg import Learner
 from hiersched.learning.replay import Transitions
+from hiersched.learning.stack import StackedAdam
 
 PRBS = 8
 REPLAYED = ("features", "prb_count", "base_reward", "constraint", "next_features")

@@ -13,13 +13,16 @@ from hiersched.randomness import world_keys
 from hiersched.simulator import Simulator
 
 
-def some_policy(scenario, *, zero=False):
+def some_policy(scenario, network="shared", start="pf"):
     rng = np.random.default_rng(1)
-    size = (24 + 1) * 6 + 7
-    parameters = rng.normal(size=(2, size)).astype(np.float32)
+    size = {"shared": (24 + 1) * 6 + 7, "mlp": (5 * 8 + 1) * 6 + 7 * 3}[network]
     return Policy(
-        parameters=np.zeros_like(parameters) if zero else parameters,
+        parameters=rng.normal(size=(2, size)).astype(np.float32),
+        network=network,
         hidden=(6,),
+        start=start,
+        observe_robots=False,
+        num_embb=2,
         weight_exponent=scenario.learning.weight_exponent,
         multipliers=np.array([0.1, 2.0, 0.0]),
         seed=9,
@@ -27,25 +30,43 @@ def some_policy(scenario, *, zero=False):
     )
 
 
-def test_an_untrained_policy_is_proportional_fair(scenario, gains):
-    learning = replace(scenario.learning, seeds=(1, 2))
+@pytest.mark.parametrize("network", ["shared", "mlp"])
+@pytest.mark.parametrize("start", ["pf", "max_weight", "drift_plus_penalty"])
+def test_an_untrained_policy_is_the_scheduler_it_starts_from(scenario, gains, start, network):
+    learning = replace(
+        scenario.learning, seeds=(1, 2), algorithm="a2c", start=start, network=network
+    )
     for policy in Trainer(replace(scenario, learning=learning), gains).policies():
         simulator = Simulator(scenario, gains, world_keys("t", 1, 3), 20)
         record = rollout(simulator, policy)
         simulator.reset(world_keys("t", 1, 3))
-        wanted = simulator.run("pf")
+        wanted = simulator.run(start, multipliers=np.zeros((3, 3)))
         for name, value in record._asdict().items():
             np.testing.assert_array_equal(value, getattr(wanted, name), err_msg=name)
 
 
-def test_a_policy_decides_and_its_multipliers_are_observed(scenario, gains):
-    policy = some_policy(scenario)
+@pytest.mark.parametrize("start", ["pf", "max_weight"])
+@pytest.mark.parametrize("network", ["shared", "mlp"])
+def test_a_policy_decides_and_its_multipliers_are_observed(scenario, gains, network, start):
+    policy = some_policy(scenario, network, start)
     simulator = Simulator(scenario, gains, world_keys("t", 1, 2), 8)
     first = policy.act(user_features(simulator, np.tile(policy.multipliers, (2, 1))))
     record = rollout(simulator, policy)
     np.testing.assert_array_equal(record.weight[:, 0].astype(np.float64), first)
     assert (record.multiplier == policy.multipliers).all()
     assert not np.array_equal(first, np.ones_like(first))
+    simulator.reset(world_keys("t", 1, 2))
+    again = simulator.run(start, 1, weights=first, multipliers=record.multiplier[:, 0].copy())
+    np.testing.assert_array_equal(again.prb_owner[:, 0], record.prb_owner[:, 0])
+
+
+def test_an_mlp_runs_on_the_users_of_its_training_only(scenario):
+    policy = some_policy(scenario, "mlp")
+    with pytest.raises(ValueError, match=r"num_urllc = 4: must be 3.*mlp"):
+        policy.for_users(4)
+    assert policy.for_users(3).act(np.zeros((1, 5, 8), np.float32)).shape == (1, 5)
+    with pytest.raises(ValueError, match="features of 3 eMBB users: must be of 2"):
+        policy.act(np.zeros((1, 6, 8), np.float32))
 
 
 def test_a_rollout_in_two_parts_is_the_rollout(scenario, gains):

@@ -6,7 +6,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hiersched.learning.relaxation import prb_shares
+from hiersched.learning.relaxation import max_weight_shares, prb_shares
 
 
 def bisected(weights, num_prb):
@@ -70,3 +70,36 @@ def test_known_case():
     """Nine PRBs, weights 4, 2, 1/2: the last one is held at 1, the others share 8 as 2 to 1."""
     shares = prb_shares(torch.tensor([4.0, 2.0, 0.5]), 9)
     np.testing.assert_allclose(shares.numpy(), [16 / 3, 8 / 3, 1.0], rtol=1e-6)
+
+
+def max_weight_features(queue_times_rate):
+    """Features of users with the same rate 10 Mbit/s a PRB."""
+    features = torch.zeros(len(queue_times_rate), 8, dtype=torch.float64)
+    features[:, 0] = torch.tensor(queue_times_rate, dtype=torch.float64)
+    return features
+
+
+def test_relaxed_max_weight_by_hand():
+    """Priorities 4, 2, 0 with weights 1/2, 1, 1: the first two share six PRBs, the last has one."""
+    shares = max_weight_shares(
+        torch.tensor([0.5, 1.0, 1.0], dtype=torch.float64), max_weight_features([4.0, 2.0, 0.0]), 9
+    )
+    np.testing.assert_allclose(shares.numpy(), [4.0, 4.0, 1.0], rtol=1e-9)
+
+
+def test_relaxed_max_weight_values_a_rate_as_queue_times_rate():
+    """need = q / r: twice the rate at half the need is the same queue, twice the rate."""
+    features = max_weight_features([1.0, 0.5])
+    features[1, 3] = np.log(2.0)
+    shares = max_weight_shares(torch.tensor([1.0, 0.5], dtype=torch.float64), features, 6)
+    np.testing.assert_allclose(shares.numpy(), [3.0, 3.0], rtol=1e-9)
+
+
+def test_relaxed_max_weight_passes_a_gradient_even_without_queues():
+    weights = torch.tensor(np.exp(np.random.default_rng(2).normal(size=5)), requires_grad=True)
+    for need in ([0.0] * 5, [1.0, 0.5, 0.9, 0.0, 0.2]):
+        features = max_weight_features(need)
+        assert torch.autograd.gradcheck(lambda w, f=features: max_weight_shares(w, f, 9), weights)
+        shares = max_weight_shares(weights, features, 9)
+        assert shares.sum().item() == pytest.approx(9.0)
+        assert (torch.autograd.grad(shares[0], weights)[0] != 0.0).any()

@@ -41,7 +41,7 @@ def fill(replay, episodes, slots_of_last):
 
 def test_every_transition_held_and_no_other_is_drawn():
     for episodes, slots in ((1, 2), (2, 1), (2, 4), (3, 2), (5, 4)):
-        replay = ReplayBuffer(SEEDS, ENVS, SLOTS, ROUNDS, USERS, URLLC)
+        replay = ReplayBuffer(SEEDS, ENVS, SLOTS, ROUNDS, URLLC, (USERS, 8))
         held = fill(replay, episodes, slots)
         assert len(replay) == len(held)
         generators = [np.random.default_rng(seed) for seed in range(SEEDS)]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.env.features import user_features
-from hiersched.scenario.schema import Scenario
+from hiersched.scenario.schema import Learning, Scenario
 from hiersched.simulator import Gains, Simulator, SlotRecord
 
 
@@ -16,8 +16,25 @@ def action_weights(actions: NDArray[np.floating], weight_exponent: float) -> NDA
     return np.exp(exponent).astype(np.float32).astype(np.float64)
 
 
+def task_costs(record: SlotRecord, learning: Learning) -> NDArray[np.float64]:
+    """Price of each robot's tracking error, on the scale of the rewards, shape (E, R).
+
+    Parameters
+    ----------
+    record
+        Record of one slot, leading axes (E, 1).
+    learning
+        Price a centimetre and reward scale.
+    """
+    price: float = learning.task_weight * 100.0 / learning.reward_scale
+    cost: NDArray[np.float64] = price * record.tracking_error_m[:, 0]
+    return cost
+
+
 class SlotLoop:
     """Episodes of a fixed length in E worlds; an action is a number in [-1, 1] for every user.
+
+    Its weight multiplies the user's utility under the scheduler `learning.start`.
 
     Parameters
     ----------
@@ -45,7 +62,7 @@ class SlotLoop:
         self.simulator = Simulator(scenario, gains, keys, num_slots)
         self.record: SlotRecord = self.simulator.new_record(1)
         self.multipliers = np.zeros((len(keys), scenario.users.num_urllc))
-        self._weight_exponent = scenario.learning.weight_exponent
+        self._learning = scenario.learning
 
     @property
     def finished(self) -> bool:
@@ -59,7 +76,9 @@ class SlotLoop:
 
     def features(self) -> NDArray[np.float32]:
         """Features at the start of the coming slot, shape (E, U, F)."""
-        return user_features(self.simulator, self.multipliers)
+        return user_features(
+            self.simulator, self.multipliers, observe_robots=self._learning.observe_robots
+        )
 
     def step(self, actions: NDArray[np.floating]) -> NDArray[np.float32]:
         """Run one slot under actions (E, U), to be found in `record`; returns the next features.
@@ -72,8 +91,11 @@ class SlotLoop:
         # One comparison that is false for NaN too.
         if not (np.abs(actions) <= 1.0).all():
             raise ValueError("actions: must lie in [-1, 1]")
-        weights = action_weights(actions, self._weight_exponent)
         self.simulator.run(
-            "pf", 1, weights=weights, multipliers=self.multipliers, record=self.record
+            self._learning.start,
+            1,
+            weights=action_weights(actions, self._learning.weight_exponent),
+            multipliers=self.multipliers,
+            record=self.record,
         )
         return self.features()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hiersched.robot.dynamics import STATE
 from hiersched.simulator import Simulator
 
 FEATURE_VERSION = 1
@@ -22,10 +23,21 @@ FEATURES = (
 )
 """Names of the features of one user, in order."""
 
-NUM_FEATURES = len(FEATURES)
+ROBOT_FEATURES = (
+    "log_tracking_error",  # ln(1 + present position error in cm)
+    "delay_steps",  # delay of the feedback, were the head packet delivered now, over the largest
+    "gain_delay_steps",  # delay whose adjusted gain is in force over the largest; 0: nominal gain
+)
+"""Further features of a URLLC user where robots are observed (0 for eMBB users)."""
+
 MULTIPLIER = FEATURES.index("log_multiplier")
 NEED_SCALE = 4.0
 _REFERENCE_RATE_MBPS = 10.0
+
+
+def num_features(observe_robots: bool) -> int:
+    """Features of one user."""
+    return len(FEATURES) + (len(ROBOT_FEATURES) if observe_robots else 0)
 
 
 def multiplier_feature(multipliers: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -33,7 +45,9 @@ def multiplier_feature(multipliers: NDArray[np.float64]) -> NDArray[np.float32]:
     return np.log1p(multipliers).astype(np.float32)
 
 
-def user_features(simulator: Simulator, multipliers: NDArray[np.float64]) -> NDArray[np.float32]:
+def user_features(
+    simulator: Simulator, multipliers: NDArray[np.float64], *, observe_robots: bool = False
+) -> NDArray[np.float32]:
     """Features of every user at the start of the coming slot.
 
     Parameters
@@ -42,12 +56,14 @@ def user_features(simulator: Simulator, multipliers: NDArray[np.float64]) -> NDA
         Its state is read, not changed.
     multipliers
         Multiplier of each URLLC user's delay constraint, shape (E, R).
+    observe_robots
+        Whether ROBOT_FEATURES follow.
 
     Returns
     -------
     features
-        Shape (E, U, NUM_FEATURES), URLLC users first. Slice means are not among them: the networks
-        form them.
+        Shape (E, U, num_features(observe_robots)), URLLC users first. Slice means are
+        not among them: the networks form them.
     """
     constants, state = simulator.constants, simulator.state
     num_urllc = constants.num_urllc
@@ -55,7 +71,7 @@ def user_features(simulator: Simulator, multipliers: NDArray[np.float64]) -> NDA
     packets_per_prb = rate_mbps * constants.service_packets_per_mbps
     need = state.backlog_packets / packets_per_prb
     deadline_s = constants.deadline_slots * constants.slot_s
-    features = np.zeros((*rate_mbps.shape, NUM_FEATURES), np.float32)
+    features = np.zeros((*rate_mbps.shape, num_features(observe_robots)), np.float32)
     features[..., 0] = need / NEED_SCALE
     features[..., 1] = np.log1p(need)
     features[..., 2] = np.log1p(state.hol_delay_s / deadline_s)
@@ -64,7 +80,27 @@ def user_features(simulator: Simulator, multipliers: NDArray[np.float64]) -> NDA
     features[:, :num_urllc, 5] = state.robots.dexterity_index
     features[:, :num_urllc, MULTIPLIER] = multiplier_feature(multipliers)
     features[..., 7] = constants.mean_due_packets / packets_per_prb / NEED_SCALE
+    if observe_robots:
+        features[:, :num_urllc, len(FEATURES) :] = _robot_features(simulator)
     return features
+
+
+def _robot_features(simulator: Simulator) -> NDArray[np.float64]:
+    """ROBOT_FEATURES of every robot, shape (E, R, 3); T_d as `simulator` forms it."""
+    state, robots = simulator.state, simulator.constants.robots
+    largest = robots.max_delay_steps
+    position = state.robots.field(STATE, 2)
+    num_robots = position.shape[1]
+    delay_s = state.hol_delay_s[:, :num_robots] + robots.core_latency_s
+    steps = np.ceil(delay_s / robots.sampling_s - 1e-9)
+    return np.stack(
+        (
+            np.log1p(100.0 * np.hypot(position[..., 0], position[..., 1])),
+            np.minimum(steps, largest) / largest,
+            state.robots.gain_delay_steps / largest,
+        ),
+        axis=-1,
+    )
 
 
 def agent_views(

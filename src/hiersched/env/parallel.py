@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from hiersched.env.core import SlotLoop
-from hiersched.env.features import NUM_FEATURES, agent_views
+from hiersched.env.features import agent_views, num_features
 from hiersched.env.vector import slot_info
 from hiersched.env.worlds import EpisodeWorlds
 from hiersched.scenario.schema import Scenario
@@ -44,11 +44,13 @@ class SlicingParallelEnv(ParallelEnv):
     def __init__(self, scenario: Scenario, gains: Gains, *, num_slots: int | None = None) -> None:
         self.possible_agents = list(AGENTS)
         self.agents: list[str] = []
+        self._scenario = scenario
         self._num_urllc = scenario.users.num_urllc
         self._cooperative = scenario.learning.reward == "cooperative"
         counts = (scenario.users.num_urllc, scenario.users.num_embb)
+        width = 3 * num_features(scenario.learning.observe_robots)
         self._observation_spaces = {
-            agent: spaces.Box(-np.inf, np.inf, (count, 3 * NUM_FEATURES), np.float32)
+            agent: spaces.Box(-np.inf, np.inf, (count, width), np.float32)
             for agent, count in zip(AGENTS, counts, strict=True)
         }
         self._action_spaces = {
@@ -89,9 +91,7 @@ class SlicingParallelEnv(ParallelEnv):
     ]:
         """Run one slot under both agents' actions."""
         features = self._loop.step(np.concatenate([actions[agent] for agent in AGENTS])[None])
-        info = {
-            name: value[0] for name, value in slot_info(self._loop.record, self._num_urllc).items()
-        }
+        info = {name: v[0] for name, v in slot_info(self._loop.record, self._scenario).items()}
         rewards = {agent: float(info[f"reward_{agent}"]) for agent in AGENTS}
         if self._cooperative:
             mean = 0.5 * sum(rewards.values())

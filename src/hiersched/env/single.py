@@ -33,8 +33,8 @@ class SlicingEnv(gymnasium.Env):
     }
 
     def __init__(self, scenario: Scenario, gains: Gains, *, num_slots: int | None = None) -> None:
-        self.observation_space, self.action_space = user_spaces(scenario.num_users)
-        self._num_urllc = scenario.users.num_urllc
+        self.observation_space, self.action_space = user_spaces(scenario)
+        self._scenario = scenario
         self._worlds = EpisodeWorlds(1)
         slots = scenario.learning.slots_per_episode if num_slots is None else num_slots
         self._loop = SlotLoop(scenario, gains, self._worlds.coming(), slots)
@@ -52,8 +52,6 @@ class SlicingEnv(gymnasium.Env):
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Run one slot; the slot limit is truncation."""
         features = self._loop.step(np.asarray(action)[None])
-        info = {
-            name: value[0] for name, value in slot_info(self._loop.record, self._num_urllc).items()
-        }
+        info = {name: v[0] for name, v in slot_info(self._loop.record, self._scenario).items()}
         reward = 0.5 * float(info["reward_urllc"] + info["reward_embb"])
         return features[0], reward, False, self._loop.finished, info

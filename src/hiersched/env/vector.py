@@ -10,27 +10,30 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from hiersched.env.core import SlotLoop
-from hiersched.env.features import NUM_FEATURES
+from hiersched.env.core import SlotLoop, task_costs
+from hiersched.env.features import num_features
 from hiersched.env.worlds import EpisodeWorlds
 from hiersched.scenario.schema import Scenario
 from hiersched.simulator import Gains, SlotRecord
 
 
-def user_spaces(num_users: int) -> tuple[spaces.Box, spaces.Box]:
+def user_spaces(scenario: Scenario) -> tuple[spaces.Box, spaces.Box]:
     """Spaces of one world: features of every user, one number in [-1, 1] for each."""
+    width = num_features(scenario.learning.observe_robots)
     return (
-        spaces.Box(-np.inf, np.inf, (num_users, NUM_FEATURES), np.float32),
-        spaces.Box(-1.0, 1.0, (num_users,), np.float32),
+        spaces.Box(-np.inf, np.inf, (scenario.num_users, width), np.float32),
+        spaces.Box(-1.0, 1.0, (scenario.num_users,), np.float32),
     )
 
 
-def slot_info(record: SlotRecord, num_urllc: int) -> dict[str, NDArray[Any]]:
+def slot_info(record: SlotRecord, scenario: Scenario) -> dict[str, NDArray[Any]]:
     """Say what a slot cost, shape (E,) or (E, U) each; `cost` counts packets now late."""
+    num_urllc = scenario.users.num_urllc
+    task = task_costs(record, scenario.learning).mean(axis=1)
     return {
         "cost": record.late_packets[:, 0, :num_urllc].sum(axis=-1).astype(np.float64),
         "due_packets": record.due_packets[:, 0, :num_urllc].sum(axis=-1).astype(np.float64),
-        "reward_urllc": record.reward_urllc[:, 0].copy(),
+        "reward_urllc": record.reward_urllc[:, 0] - task,
         "reward_embb": record.reward_embb[:, 0].copy(),
         "prb_count": record.num_prb[:, 0].copy(),
     }
@@ -65,10 +68,10 @@ class SlicingVectorEnv(VectorEnv):
         self, scenario: Scenario, gains: Gains, num_envs: int, *, num_slots: int | None = None
     ) -> None:
         self.num_envs = num_envs
-        self.single_observation_space, self.single_action_space = user_spaces(scenario.num_users)
+        self.single_observation_space, self.single_action_space = user_spaces(scenario)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._num_urllc = scenario.users.num_urllc
+        self._scenario = scenario
         self._worlds = EpisodeWorlds(num_envs)
         slots = scenario.learning.slots_per_episode if num_slots is None else num_slots
         self._loop = SlotLoop(scenario, gains, self._worlds.coming(), slots)
@@ -96,7 +99,7 @@ class SlicingVectorEnv(VectorEnv):
     ]:
         """Run one slot of all worlds."""
         features = self._loop.step(actions)
-        info: dict[str, Any] = dict(slot_info(self._loop.record, self._num_urllc))
+        info: dict[str, Any] = dict(slot_info(self._loop.record, self._scenario))
         reward = 0.5 * (info["reward_urllc"] + info["reward_embb"])
         truncated = np.full(self.num_envs, self._loop.finished)
         if self._loop.finished:

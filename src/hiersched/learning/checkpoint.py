@@ -10,7 +10,7 @@ import torch
 
 from hiersched.env.features import FEATURE_VERSION
 
-_FORMAT = 1
+_FORMAT = 2
 
 
 class CheckpointError(ValueError):

@@ -1,4 +1,4 @@
-"""Small networks applied to every user of a slice, stacked in one flat parameter tensor.
+"""What the agents' networks see and say: small ones shared by the users of a slice, or flat ones.
 
 The networks of a stack are those of the seeds times two agents, entry 2 * seed + agent, with agent
 0 = URLLC and agent 1 = eMBB. Slices of different size are padded to the larger one (`Slices`).
@@ -6,22 +6,19 @@ The networks of a stack are those of the seeds times two agents, entry 2 * seed 
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from hiersched.env.features import NEED_SCALE, NUM_FEATURES
+from hiersched.env.features import NEED_SCALE
+from hiersched.learning.stack import Layers
+from hiersched.randomness import world_key
 
 NUM_AGENTS = 2
-ACTOR_INPUTS = 3 * NUM_FEATURES
-"""A user's own features, the mean of its slice and the mean of the other slice."""
-CRITIC_INPUTS = ACTOR_INPUTS + 1
-"""Likewise, and the PRBs that the user was given."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +32,11 @@ class Slices:
     def width(self) -> int:
         """n, users of the larger slice."""
         return max(self.num_urllc, self.num_embb)
+
+    @property
+    def num_users(self) -> int:
+        """U, users of both."""
+        return self.num_urllc + self.num_embb
 
     def split(self, users: Tensor) -> Tensor:
         """Form the rows of both slices, (..., 2, n, F) from (..., U, F); 0 where no user is."""
@@ -55,55 +57,148 @@ class Slices:
         return shares
 
 
-def network_inputs(features: Tensor, slices: Slices) -> Tensor:
-    """Form what the actors see, (seeds * 2, B * n, ACTOR_INPUTS), from (seeds, B, U, F)."""
-    rows = slices.split(features)
-    means = torch.einsum("sbanf,an->sbaf", rows, slices.shares())
-    own_mean = means.unsqueeze(3).expand_as(rows)
-    other_mean = means.flip(2).unsqueeze(3).expand_as(rows)
-    inputs = torch.cat((rows, own_mean, other_mean), dim=-1).transpose(1, 2)
-    return inputs.reshape(NUM_AGENTS * features.shape[0], -1, ACTOR_INPUTS)
-
-
-def count_input(prb_count: Tensor, slices: Slices) -> Tensor:
-    """Form the critics' last input, (seeds * 2, B * n, 1), from PRB counts (seeds, B, U)."""
-    rows = slices.split(prb_count.unsqueeze(-1)).transpose(1, 2) / NEED_SCALE
-    return rows.reshape(NUM_AGENTS * prb_count.shape[0], -1, 1)
-
-
 @dataclass(frozen=True)
-class Layers:
-    """Sizes of a stack of equal multilayer perceptrons with one output."""
+class Network(ABC):
+    """How features become the inputs of both agents' networks, and outputs actions and values.
 
-    sizes: tuple[int, ...]
+    An agent values m numbers: those of every user of its slice, or its slice's mean.
+    """
+
+    slices: Slices
+    num_features: int
+    hidden: tuple[int, ...]
 
     @property
-    def num_parameters(self) -> int:
-        """P, parameters of one network."""
-        return sum((rows + 1) * columns for rows, columns in pairwise(self.sizes))
+    @abstractmethod
+    def actor(self) -> Layers:
+        """Sizes of the actors; critics of states alone see the same."""
 
-    def initial(self, rng: np.random.Generator, *, zero_output: bool) -> NDArray[np.float32]:
-        """Draw one network, shape (P,): uniform within 1/sqrt(inputs); last layer 0 if asked."""
-        blocks = []
-        for place, (rows, columns) in enumerate(pairwise(self.sizes)):
-            bound = rows**-0.5
-            if zero_output and place == len(self.sizes) - 2:
-                bound = 0.0
-            blocks.append(rng.uniform(-bound, bound, (rows + 1) * columns))
-        return np.concatenate(blocks).astype(np.float32)
+    @abstractmethod
+    def inputs(self, features: Tensor) -> Tensor:
+        """Form what the actors see, (seeds * 2, N, inputs), from (seeds, B, U, F)."""
 
-    def forward(self, parameters: Tensor, inputs: Tensor) -> Tensor:
-        """Evaluate the stack, shape (S, N), for parameters (S, P) and inputs (S, N, first size)."""
-        stack = parameters.shape[0]
-        sizes = [
-            size for rows, columns in pairwise(self.sizes) for size in (columns, rows * columns)
-        ]
-        parts = parameters.split_with_sizes(sizes, dim=1)
-        hidden = inputs
-        for place, (rows, columns) in enumerate(pairwise(self.sizes)):
-            bias = parts[2 * place].view(stack, 1, columns)
-            weight = parts[2 * place + 1].view(stack, rows, columns)
-            hidden = torch.baddbmm(bias, hidden, weight)
-            if place < len(self.sizes) - 2:
-                hidden = hidden.relu_()
-        return hidden.squeeze(2)
+    @abstractmethod
+    def raw_actions(self, outputs: Tensor, num_seeds: int) -> Tensor:
+        """Order the outputs of the actors before tanh by user, shape (seeds, B, U)."""
+
+    @property
+    @abstractmethod
+    def num_counts(self) -> int:
+        """Further inputs of a critic that sees what was executed."""
+
+    @abstractmethod
+    def count_inputs(self, prb_count: Tensor) -> Tensor:
+        """Form these inputs, (seeds * 2, N, num_counts), from PRB counts (seeds, B, U)."""
+
+    @abstractmethod
+    def pool(self, user_rewards: Tensor) -> Tensor:
+        """Form what an agent values, (seeds, 2, B, m), of the users' rewards (seeds, B, U)."""
+
+    @abstractmethod
+    def value_shares(self) -> Tensor:
+        """Weights, shape (2, m): a value's sum with them is that of the slice's mean reward."""
+
+    def critic(self, *, sees_counts: bool) -> Layers:
+        """Sizes of the critics of states, or of states and what was executed."""
+        more = self.num_counts if sees_counts else 0
+        return Layers((self.actor.sizes[0] + more, *self.hidden, 1))
+
+    def values(self, outputs: Tensor, num_seeds: int) -> Tensor:
+        """Order the outputs of the critics as values, shape (seeds, 2, B, m)."""
+        return outputs.view(num_seeds, NUM_AGENTS, -1, self.value_shares().shape[1])
+
+
+class SharedNetwork(Network):
+    """One small network applied to every user of a slice, with the means of both slices.
+
+    It does not care how many users there are, nor in what order.
+    """
+
+    @property
+    def actor(self) -> Layers:
+        """As in `Network`."""
+        return Layers((3 * self.num_features, *self.hidden, 1))
+
+    @property
+    def num_counts(self) -> int:
+        """As in `Network`."""
+        return 1
+
+    def inputs(self, features: Tensor) -> Tensor:
+        """As in `Network`."""
+        rows = self.slices.split(features)
+        means = torch.einsum("sbanf,an->sbaf", rows, self.slices.shares())
+        own_mean = means.unsqueeze(3).expand_as(rows)
+        other_mean = means.flip(2).unsqueeze(3).expand_as(rows)
+        inputs = torch.cat((rows, own_mean, other_mean), dim=-1).transpose(1, 2)
+        return inputs.reshape(NUM_AGENTS * features.shape[0], -1, 3 * self.num_features)
+
+    def raw_actions(self, outputs: Tensor, num_seeds: int) -> Tensor:
+        """As in `Network`."""
+        rows = outputs.view(num_seeds, NUM_AGENTS, -1, self.slices.width).transpose(1, 2)
+        return self.slices.join(rows)
+
+    def count_inputs(self, prb_count: Tensor) -> Tensor:
+        """As in `Network`."""
+        rows = self.pool(prb_count) / NEED_SCALE
+        return rows.reshape(NUM_AGENTS * len(prb_count), -1, 1)
+
+    def pool(self, user_rewards: Tensor) -> Tensor:
+        """As in `Network`."""
+        return self.slices.split(user_rewards.unsqueeze(-1)).squeeze(-1).transpose(1, 2)
+
+    def value_shares(self) -> Tensor:
+        """As in `Network`."""
+        return self.slices.shares()
+
+
+class FlatNetwork(Network):
+    """One network an agent over all users side by side, as a reader of the paper would write it."""
+
+    @property
+    def actor(self) -> Layers:
+        """As in `Network`."""
+        inputs = self.slices.num_users * self.num_features
+        return Layers((inputs, *self.hidden, self.slices.width))
+
+    @property
+    def num_counts(self) -> int:
+        """As in `Network`."""
+        return self.slices.num_users
+
+    def inputs(self, features: Tensor) -> Tensor:
+        """As in `Network`."""
+        return features.flatten(2).repeat_interleave(NUM_AGENTS, dim=0)
+
+    def raw_actions(self, outputs: Tensor, num_seeds: int) -> Tensor:
+        """As in `Network`."""
+        rows = outputs.view(num_seeds, NUM_AGENTS, -1, self.slices.width).transpose(1, 2)
+        return self.slices.join(rows)
+
+    def count_inputs(self, prb_count: Tensor) -> Tensor:
+        """As in `Network`."""
+        return (prb_count / NEED_SCALE).repeat_interleave(NUM_AGENTS, dim=0)
+
+    def pool(self, user_rewards: Tensor) -> Tensor:
+        """As in `Network`."""
+        rows = self.slices.split(user_rewards.unsqueeze(-1)).squeeze(-1)
+        return torch.einsum("sban,an->sab", rows, self.slices.shares()).unsqueeze(-1)
+
+    def value_shares(self) -> Tensor:
+        """As in `Network`."""
+        return torch.ones(NUM_AGENTS, 1)
+
+
+NETWORKS: dict[str, type[Network]] = {"shared": SharedNetwork, "mlp": FlatNetwork}
+
+
+def initial_stack(
+    layers: Layers, name: str, seeds: tuple[int, ...], *, zero_output: bool
+) -> Tensor:
+    """Parameters of both agents of every seed, shape (seeds * 2, P), each of its own stream."""
+    rows = [
+        layers.initial(np.random.default_rng(world_key(name, seed, agent)), zero_output=zero_output)
+        for seed in seeds
+        for agent in range(NUM_AGENTS)
+    ]
+    return torch.from_numpy(np.stack(rows))

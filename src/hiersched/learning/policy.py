@@ -13,11 +13,11 @@ import torch
 from numpy.typing import NDArray
 
 from hiersched.env.core import action_weights
-from hiersched.env.features import FEATURE_VERSION, FEATURES, user_features
-from hiersched.learning.networks import ACTOR_INPUTS, NUM_AGENTS, Layers, Slices, network_inputs
+from hiersched.env.features import FEATURE_VERSION, FEATURES, num_features, user_features
+from hiersched.learning.networks import NETWORKS, Slices
 from hiersched.simulator import Simulator, SlotRecord
 
-_FORMAT = 1
+_FORMAT = 2
 
 
 class PolicyError(ValueError):
@@ -43,8 +43,14 @@ class Policy:
     ----------
     parameters
         Of the URLLC and the eMBB actor, shape (2, P), float32.
-    hidden
-        Hidden layers of the actors.
+    network, hidden
+        Which network (``shared`` or ``mlp``), and its hidden layers.
+    start
+        The scheduler whose utilities the weights multiply.
+    observe_robots
+        Whether the features of the robots are observed.
+    num_embb
+        eMBB users in training; an ``mlp`` runs on no other number.
     weight_exponent
         c of w = exp(c a).
     multipliers
@@ -55,8 +61,12 @@ class Policy:
     """
 
     parameters: NDArray[np.float32]
+    network: str
     hidden: tuple[int, ...]
+    start: str
+    observe_robots: bool
     weight_exponent: float
+    num_embb: int
     multipliers: NDArray[np.float64]
     seed: int
     scenario_sha256: str
@@ -66,16 +76,31 @@ class Policy:
         """Weights, shape (E, U), from features (E, U, F); without noise.
 
         The slices are told apart by the number of multipliers: one for each URLLC user.
+
+        Raises
+        ------
+        ValueError
+            If an ``mlp`` was trained on other numbers of users.
         """
         num_urllc = len(self.multipliers)
         slices = Slices(num_urllc, features.shape[1] - num_urllc)
-        layers = Layers((ACTOR_INPUTS, *self.hidden, 1))
+        network = NETWORKS[self.network](slices, num_features(self.observe_robots), self.hidden)
+        if self.network == "mlp" and slices.num_embb != self.num_embb:
+            raise ValueError(
+                f"features of {slices.num_embb} eMBB users: must be of {self.num_embb}, on which "
+                "this mlp policy was trained"
+            )
         with torch.no_grad():
-            inputs = network_inputs(torch.from_numpy(features).unsqueeze(0), slices)
-            rows = layers.forward(torch.from_numpy(self.parameters), inputs).tanh()
-            rows = rows.view(1, NUM_AGENTS, len(features), slices.width).transpose(1, 2)
-            actions: NDArray[np.float32] = slices.join(rows)[0].numpy()
+            inputs = network.inputs(torch.from_numpy(features).unsqueeze(0))
+            outputs = network.actor.forward(torch.from_numpy(self.parameters), inputs)
+            actions: NDArray[np.float32] = network.raw_actions(outputs, 1).tanh()[0].numpy()
         return action_weights(actions, self.weight_exponent)
+
+    def observe(
+        self, simulator: Simulator, multipliers: NDArray[np.float64]
+    ) -> NDArray[np.float32]:
+        """Features (E, U, F) of this policy's kind, under multipliers (E, R)."""
+        return user_features(simulator, multipliers, observe_robots=self.observe_robots)
 
     def save(self, path: str | Path) -> None:
         """Write the policy to `path`; the file appears whole or not at all."""
@@ -83,8 +108,12 @@ class Policy:
         saved = {
             "format": _FORMAT,
             "parameters": torch.from_numpy(self.parameters),
+            "network": self.network,
             "hidden": list(self.hidden),
+            "start": self.start,
+            "observe_robots": self.observe_robots,
             "weight_exponent": self.weight_exponent,
+            "num_embb": self.num_embb,
             "multipliers": torch.from_numpy(self.multipliers),
             "seed": self.seed,
             "scenario_sha256": self.scenario_sha256,
@@ -117,8 +146,12 @@ class Policy:
             )
         return cls(
             parameters=saved["parameters"].numpy(),
+            network=saved["network"],
             hidden=tuple(saved["hidden"]),
+            start=saved["start"],
+            observe_robots=saved["observe_robots"],
             weight_exponent=saved["weight_exponent"],
+            num_embb=saved["num_embb"],
             multipliers=saved["multipliers"].numpy(),
             seed=saved["seed"],
             scenario_sha256=saved["scenario_sha256"],
@@ -126,7 +159,18 @@ class Policy:
         )
 
     def for_users(self, num_urllc: int) -> Policy:
-        """Take the policy to `num_urllc` URLLC users: each observes the mean multiplier."""
+        """Take the policy to `num_urllc` URLLC users: each observes the mean multiplier.
+
+        Raises
+        ------
+        ValueError
+            If it is an ``mlp`` of another number: its inputs are the users themselves.
+        """
+        if self.network == "mlp" and num_urllc != len(self.multipliers):
+            raise ValueError(
+                f"num_urllc = {num_urllc}: must be {len(self.multipliers)}, on which this mlp "
+                "policy was trained (a shared one runs on any number)"
+            )
         multipliers = np.full(num_urllc, self.multipliers.mean())
         return Policy(**{**vars(self), "multipliers": multipliers})
 
@@ -178,8 +222,8 @@ def rollout(
     one = simulator.new_record(1)
     with single_thread():
         for slot in range(slots):
-            weights = policy.act(user_features(simulator, multipliers))
-            simulator.run("pf", 1, weights=weights, multipliers=multipliers, record=one)
+            weights = policy.act(policy.observe(simulator, multipliers))
+            simulator.run(policy.start, 1, weights=weights, multipliers=multipliers, record=one)
             copy_slot(one, whole, slot)
             if on_slot is not None:
                 on_slot(slot + 1)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.learning.ddpg import Losses
+from hiersched.learning.step import Losses
 from hiersched.simulator import SlotRecord
 
 
@@ -24,6 +24,7 @@ class RoundSums:
         self._constraint = np.zeros((num_seeds, num_urllc))
         self._reward = np.zeros((2, num_seeds))
         self._backlog = np.zeros((2, num_seeds))
+        self._tracking_error = np.zeros(num_seeds)
         self._critic_losses: list[NDArray[np.float32]] = []
         self._actor_losses: list[NDArray[np.float32]] = []
         self._none = np.full((num_seeds, 2), np.nan)
@@ -41,6 +42,7 @@ class RoundSums:
         self.late_packets += by_seed(one.late_packets[:, 0, :num_urllc].astype(np.float64))
         self._constraint += by_seed(one.constraint[:, 0])
         self._reward += by_seed(one.reward_urllc[:, 0]), by_seed(one.reward_embb[:, 0])
+        self._tracking_error += by_seed(one.tracking_error_m[:, 0].mean(-1))
         backlog = one.backlog_packets[:, 0]
         self._backlog += (
             by_seed(backlog[:, :num_urllc].mean(-1)),
@@ -77,6 +79,7 @@ class RoundSums:
             "late_share": self.late_share(),
             "backlog_urllc_packets": backlog[0],
             "backlog_embb_packets": backlog[1],
+            "tracking_error_m": self._tracking_error / self.slots,
             "critic_loss_urllc": critic[:, 0],
             "critic_loss_embb": critic[:, 1],
             "actor_loss_urllc": actor[:, 0],

@@ -2,8 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
+
+from hiersched.env.features import FEATURES, NEED_SCALE
+
+_NEED, _LOG_PRB_RATE = FEATURES.index("need"), FEATURES.index("log_prb_rate")
+
+MAX_WEIGHT_SHARPNESS = 8.0
+"""How sharply the relaxed MaxWeight prefers the user with the largest queue times rate."""
+
+_LEAST_PRIORITY = 1e-3
+"""Of an empty queue, relative to the largest: its user would otherwise pass no gradient."""
+
+Relaxation = Callable[..., Tensor]
+"""(weights (..., U), features (..., U, F), num_prb, floor_slope) -> PRBs (..., U)."""
 
 
 def prb_shares(weights: Tensor, num_prb: int, *, floor_slope: float = 0.0) -> Tensor:
@@ -45,3 +60,40 @@ def prb_shares(weights: Tensor, num_prb: int, *, floor_slope: float = 0.0) -> Te
     free = held * (weights / weights.detach())
     free = free * (num_prb / free.sum(-1, keepdim=True))
     return shares + floor_slope * (free - free.detach())
+
+
+def pf_shares(weights: Tensor, features: Tensor, num_prb: int, floor_slope: float = 0.0) -> Tensor:
+    """PRBs under weighted PF, whatever the features: `prb_shares`."""
+    return prb_shares(weights, num_prb, floor_slope=floor_slope)
+
+
+def max_weight_shares(
+    weights: Tensor, features: Tensor, num_prb: int, floor_slope: float = 0.0
+) -> Tensor:
+    """PRBs under weighted MaxWeight: one each, the others as a soft maximum shares them.
+
+    MaxWeight gives a PRB to the largest w q r. Fading makes that a matter of chance; here the
+    chances are (w q r)^s over their sum, with s = MAX_WEIGHT_SHARPNESS and r the mean rate.
+
+    Parameters
+    ----------
+    weights
+        Positive, shape (..., U).
+    features
+        Features of `env.features`, shape (..., U, F): queue and rate are formed from them.
+    num_prb
+        K, at least U.
+    floor_slope
+        Unused: nobody is without a gradient.
+    """
+    # need = q / (r per PRB), so that q r is need r^2 up to a constant.
+    need = NEED_SCALE * features[..., _NEED]
+    priority = need * torch.exp(2.0 * features[..., _LOG_PRB_RATE])
+    largest = priority.amax(dim=-1, keepdim=True).clamp(min=torch.finfo(priority.dtype).tiny)
+    relative = (priority / largest).clamp(min=_LEAST_PRIORITY)
+    chance = torch.softmax(MAX_WEIGHT_SHARPNESS * (weights.log() + relative.log()), dim=-1)
+    return 1.0 + (num_prb - weights.shape[-1]) * chance
+
+
+RELAXATIONS: dict[str, Relaxation] = {"pf": pf_shares, "max_weight": max_weight_shares}
+"""Relaxed allocation by the scheduler from which the residual starts."""

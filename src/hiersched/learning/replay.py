@@ -12,8 +12,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hiersched.env.features import NUM_FEATURES
-
 
 class Transitions(NamedTuple):
     """A batch of transitions, leading axes (seeds, B)."""
@@ -34,8 +32,10 @@ class ReplayBuffer:
         Seeds, environments of each seed, slots of an episode.
     num_rounds
         Rounds to keep: the capacity is ``num_rounds * num_envs * num_slots`` transitions a seed.
-    num_users, num_urllc
-        U and R.
+    num_urllc
+        R.
+    feature_shape
+        (U, F).
     """
 
     _ARRAYS = ("_features", "_prb_count", "_base_reward", "_constraint")
@@ -46,16 +46,16 @@ class ReplayBuffer:
         num_envs: int,
         num_slots: int,
         num_rounds: int,
-        num_users: int,
         num_urllc: int,
+        feature_shape: tuple[int, int],
     ) -> None:
         place = (num_seeds, num_rounds, num_slots, num_envs)
         # One slot more than transitions: the features of t + 1 are the next ones of t.
         self._features = np.zeros(
-            (num_seeds, num_rounds, num_slots + 1, num_envs, num_users, NUM_FEATURES), np.float32
+            (num_seeds, num_rounds, num_slots + 1, num_envs, *feature_shape), np.float32
         )
-        self._prb_count = np.zeros((*place, num_users), np.float32)
-        self._base_reward = np.zeros((*place, num_users), np.float32)
+        self._prb_count = np.zeros((*place, feature_shape[0]), np.float32)
+        self._base_reward = np.zeros((*place, feature_shape[0]), np.float32)
         self._constraint = np.zeros((*place, num_urllc), np.float32)
         self._num_rounds = num_rounds
         self._num_slots = num_slots

@@ -1,4 +1,4 @@
-"""Training of all seeds side by side: Algorithm 1 of the paper (docs/paper_notes.md, 5)."""
+"""Training of all seeds side by side (docs/paper_notes.md, 5)."""
 
 from __future__ import annotations
 
@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from tqdm import tqdm
 
 from hiersched.env.core import SlotLoop
+from hiersched.learning.a2c import A2c
 from hiersched.learning.checkpoint import load_checkpoint, save_checkpoint
-from hiersched.learning.ddpg import Learner
 from hiersched.learning.multiplier import Multiplier, episode_constraint, step_multiplier
+from hiersched.learning.off_policy import Ddpg
 from hiersched.learning.policy import Policy, copy_slot, single_thread
 from hiersched.learning.progress import ProgressFile, RoundSums
-from hiersched.learning.replay import ReplayBuffer
+from hiersched.learning.rewards import user_rewards
+from hiersched.learning.step import Algorithm, Outcome
 from hiersched.randomness import world_key
 from hiersched.scenario import Scenario, scenario_sha256
 from hiersched.simulator import Gains, SlotRecord
@@ -27,26 +29,10 @@ Blocks = dict[str, NDArray[Any]]
 OnSlots = Callable[[int, Blocks], None]
 
 
-def user_rewards(
-    one: SlotRecord, after: NDArray[np.float64], scenario: Scenario
-) -> NDArray[np.float64]:
-    """Share a slice's reward among its users: -(drift + V penalty) / scale, shape (E, U).
-
-    Their mean over a slice's users is the reward in the record, up to the priced constraint.
-
-    Parameters
-    ----------
-    one
-        Record of one slot, leading axes (E, 1).
-    after
-        Backlog after the slot, shape (E, U), packets.
-    scenario
-        V, epsilon and the reward scale.
-    """
-    objective = scenario.objective
-    drift = 0.5 * (after**2 - one.backlog_packets[:, 0] ** 2)
-    penalty = 1.0 / (one.rate_mbps[:, 0] ** 2 + objective.epsilon)
-    return -(drift + objective.penalty_weight * penalty) / scenario.learning.reward_scale
+ALGORITHMS: dict[str, Callable[[Scenario, list[np.random.Generator]], Algorithm]] = {
+    "ddpg": Ddpg,
+    "a2c": A2c,
+}
 
 
 class Trainer:
@@ -68,20 +54,11 @@ class Trainer:
         self.num_seeds = len(learning.seeds)
         self.num_rounds = learning.episodes // learning.num_envs
         self.round = 0
-        self.learner = Learner(scenario)
         self.multiplier = Multiplier.zero((self.num_seeds, users.num_urllc))
         self.generators = [
             np.random.default_rng(world_key("train/draws", seed)) for seed in learning.seeds
         ]
-        round_size = learning.num_envs * learning.slots_per_episode
-        self.replay = ReplayBuffer(
-            self.num_seeds,
-            learning.num_envs,
-            learning.slots_per_episode,
-            max(1, min(learning.replay_capacity // round_size, self.num_rounds)),
-            scenario.num_users,
-            users.num_urllc,
-        )
+        self.algorithm = ALGORITHMS[learning.algorithm](scenario, self.generators)
         self.loop = SlotLoop(scenario, gains, self._worlds(), learning.slots_per_episode)
 
     def _worlds(self) -> NDArray[np.uint64]:
@@ -99,54 +76,42 @@ class Trainer:
     def _by_seed(self, values: NDArray[Any]) -> NDArray[Any]:
         return values.reshape(self.num_seeds, -1, *values.shape[1:])
 
-    def _explore(self, actions: NDArray[np.float32], done: float) -> NDArray[np.float32]:
-        """Add noise of each seed's own generator; its spread falls linearly with training."""
-        learning = self.scenario.learning
-        std = learning.exploration_std + done * (
-            learning.exploration_final_std - learning.exploration_std
-        )
-        noise = np.stack(
-            [rng.standard_normal(actions.shape[1:], np.float32) for rng in self.generators]
-        )
-        return np.clip(actions + np.float32(std) * noise, -1.0, 1.0)
-
     def run_round(self, on_slot: Callable[[SlotRecord, int], None]) -> RoundSums:
-        """One episode in every environment, with one update of all agents a slot.
+        """One episode in every environment; the algorithm learns as they run.
 
         Parameters
         ----------
         on_slot
             Is given every slot's record, leading axes (seeds * envs, 1), and the slot's index.
         """
-        learning = self.scenario.learning
-        loop, replay = self.loop, self.replay
+        learning, loop, algorithm = self.scenario.learning, self.loop, self.algorithm
         loop.multipliers[:] = np.repeat(self.multiplier.value, learning.num_envs, axis=0)
         features = self._by_seed(loop.reset(self._worlds()))
-        replay.start_round(features)
+        algorithm.start_round(features)
         sums = RoundSums(self.num_seeds, self.scenario.users.num_urllc)
-        fewest = max(learning.warmup_slots * learning.num_envs, learning.batch_size)
         for slot in range(learning.slots_per_episode):
             done = (self.round + slot / learning.slots_per_episode) / self.num_rounds
-            actions = self._explore(self.learner.act(features), done)
+            actions = algorithm.explore(features, done)
             features = self._by_seed(loop.step(actions.reshape(len(loop.multipliers), -1)))
-            self._store(features)
+            outcome = self._outcome(features)
             sums.add(loop.record)
             on_slot(loop.record, slot)
-            if len(replay) >= fewest:
-                batch = replay.sample(learning.batch_size, self.generators)
-                sums.add_losses(self.learner.update(batch, self.multiplier.value))
+            last = slot == learning.slots_per_episode - 1
+            losses = algorithm.learn(outcome, self.multiplier.value, last=last)
+            if losses is not None:
+                sums.add_losses(losses)
         self._step_multiplier(sums)
         self.round += 1
         return sums
 
-    def _store(self, following: NDArray[np.float32]) -> None:
-        """Add the last slot to the replay buffer."""
+    def _outcome(self, following: NDArray[np.float32]) -> Outcome:
+        """Say what the last slot brought, by seed; its record is overwritten by the next one."""
         one, after = self.loop.record, self.loop.simulator.state.backlog_packets
-        self.replay.add(
-            self._by_seed(one.num_prb[:, 0]),
-            self._by_seed(user_rewards(one, after, self.scenario)),
-            self._by_seed(one.constraint[:, 0]),
-            following,
+        return Outcome(
+            prb_count=self._by_seed(one.num_prb[:, 0]),
+            base_reward=self._by_seed(user_rewards(one, after, self.scenario)),
+            constraint=self._by_seed(one.constraint[:, 0]).copy(),
+            next_features=following,
         )
 
     def _step_multiplier(self, sums: RoundSums) -> None:
@@ -163,13 +128,17 @@ class Trainer:
     def policies(self) -> tuple[Policy, ...]:
         """Return the policies as they stand, one a seed."""
         learning = self.scenario.learning
-        actors = self.learner.actor.numpy().reshape(self.num_seeds, 2, -1)
+        actors = self.algorithm.actor.numpy().reshape(self.num_seeds, 2, -1)
         sha256 = scenario_sha256(self.scenario)
         return tuple(
             Policy(
                 parameters=actors[index].copy(),
+                network=learning.network,
+                start=learning.start,
+                observe_robots=learning.observe_robots,
                 hidden=learning.hidden,
                 weight_exponent=learning.weight_exponent,
+                num_embb=self.scenario.users.num_embb,
                 multipliers=self.multiplier.value[index].copy(),
                 seed=seed,
                 scenario_sha256=sha256,
@@ -181,8 +150,7 @@ class Trainer:
         """Everything that the next round depends on; worlds are functions of the round."""
         return {
             "round": self.round,
-            "learner": self.learner.state(),
-            "replay": self.replay.state(),
+            "algorithm": self.algorithm.state(),
             "multiplier": [
                 torch.from_numpy(self.multiplier.integral),
                 torch.from_numpy(self.multiplier.value),
@@ -193,8 +161,7 @@ class Trainer:
     def load_state(self, state: dict[str, Any]) -> None:
         """Take over what `state` returned."""
         self.round = state["round"]
-        self.learner.load_state(state["learner"])
-        self.replay.load_state(state["replay"])
+        self.algorithm.load_state(state["algorithm"])
         integral, value = state["multiplier"]
         self.multiplier = Multiplier(integral=integral.numpy(), value=value.numpy())
         for rng, saved in zip(self.generators, state["generators"], strict=True):

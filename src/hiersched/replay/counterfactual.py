@@ -118,6 +118,7 @@ def _weights(run: LoggedRun, weights: bytes, batch_seeds: tuple[int, ...]) -> De
         run=lambda simulator: rollout(simulator, policy),
         metadata={
             "policy_seed": str(policy.seed),
+            "start": policy.start,
             "batch_seeds": ",".join(map(str, batch_seeds)),
         },
         attachments={f"policy_seed{policy.seed}.pt": weights},

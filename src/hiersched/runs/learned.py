@@ -40,6 +40,8 @@ class LearnedRunner:
             if not worlds:
                 continue
             simulator = Simulator(scenario, gains, seed_worlds(purpose, worlds), num_slots)
+            if len(learned.multipliers) != scenario.users.num_urllc:
+                learned = learned.for_users(scenario.users.num_urllc)
             record = rollout(simulator, learned)
             for place, seed in enumerate(worlds):
                 runs[seed] = WorldRun(
@@ -47,6 +49,7 @@ class LearnedRunner:
                     fields=record.environment(place),
                     metadata={
                         "policy_seed": str(learned.seed),
+                        "start": learned.start,
                         # The bits of a matrix product depend on the number of worlds in it.
                         "batch_seeds": ",".join(map(str, worlds)),
                     },

@@ -101,6 +101,7 @@ class RoundLogs:
             metadata={
                 "slots_per_episode": str(learning.slots_per_episode),
                 "episodes": str(learning.episodes),
+                "start": learning.start,
                 **metadata,
             },
             attachments=attachments,

@@ -1,0 +1,69 @@
+"""Rewards of the agents, stored in parts: the multiplier of the constraint moves."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from hiersched.env.core import task_costs
+from hiersched.env.features import MULTIPLIER, multiplier_feature
+from hiersched.scenario.schema import Scenario
+from hiersched.simulator import SlotRecord
+
+
+def user_rewards(
+    one: SlotRecord, after: NDArray[np.float64], scenario: Scenario
+) -> NDArray[np.float64]:
+    """Share a slice's reward among its users: -(drift + V penalty) / scale, shape (E, U).
+
+    Their mean over a slice's users is the reward in the record, up to the priced constraint and
+    the price of the robots' tracking error, which each URLLC user pays for its own robot.
+
+    Parameters
+    ----------
+    one
+        Record of one slot, leading axes (E, 1).
+    after
+        Backlog after the slot, shape (E, U), packets.
+    scenario
+        V, epsilon, the price of the tracking error and the reward scale.
+    """
+    objective = scenario.objective
+    drift = 0.5 * (after**2 - one.backlog_packets[:, 0] ** 2)
+    penalty = 1.0 / (one.rate_mbps[:, 0] ** 2 + objective.epsilon)
+    reward = -(drift + objective.penalty_weight * penalty) / scenario.learning.reward_scale
+    reward[:, : scenario.users.num_urllc] -= task_costs(one, scenario.learning)
+    return reward
+
+
+def priced_rewards(
+    base_reward: NDArray[np.float32],
+    constraint: NDArray[np.float32],
+    multipliers: NDArray[np.float64],
+    reward_scale: float,
+) -> Tensor:
+    """Rewards of every user under the multipliers now in force, shape (seeds, B, U).
+
+    Parameters
+    ----------
+    base_reward
+        Without the constraint, shape (seeds, B, U).
+    constraint
+        y of each URLLC user, shape (seeds, B, R).
+    multipliers
+        Shape (seeds, R).
+    reward_scale
+        Of the scenario.
+    """
+    reward = base_reward.copy()
+    priced = constraint * multipliers[:, None, :].astype(np.float32)
+    reward[..., : multipliers.shape[1]] += priced / reward_scale
+    return torch.from_numpy(reward)
+
+
+def observe_multipliers(features: NDArray[np.float32], multipliers: NDArray[np.float64]) -> Tensor:
+    """Put the multipliers now in force (seeds, R) among features (seeds, B, U, F), in place."""
+    features[:, :, : multipliers.shape[1], MULTIPLIER] = multiplier_feature(multipliers)[:, None]
+    return torch.from_numpy(features)
