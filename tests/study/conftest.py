@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -10,6 +11,9 @@ import pytest
 
 from hiersched.control import Certificate, GainSchedule
 from hiersched.log import TOPICS, LogDims, LogWriter
+from hiersched.runs import paths
+from hiersched.runs.gain_points import GAIN_SWEEPS, GainPoint, gain_points
+from hiersched.runs.variants import study_scenario
 from hiersched.scenario import Scenario, load_scenario
 from hiersched.simulator.gains import plant_of
 from hiersched.study.fifo import backlog_path, deadline_in_slots, late_packets
@@ -118,8 +122,8 @@ def _run(scenario: Scenario, policy: str, seed: int, slots: int = 40) -> Fields:
 
 
 def _schedule(scenario: Scenario) -> GainSchedule:
-    """A schedule of nominal gains with made-up verdicts."""
-    plant, steps = plant_of(scenario), 3
+    """A schedule with made-up verdicts: adjusted from T = 4 on, infeasible at the last delay."""
+    plant, steps = plant_of(scenario), scenario.max_delay_steps
     certificates = tuple(
         Certificate(
             certified=delay < steps,
@@ -132,11 +136,14 @@ def _schedule(scenario: Scenario) -> GainSchedule:
         )
         for delay in range(steps + 1)
     )
+    gains = np.repeat(plant.nominal_gain[None], steps + 1, axis=0)
+    gains[4:steps] *= 0.9
     return GainSchedule(
-        gains=np.repeat(plant.nominal_gain[None], steps + 1, axis=0),
-        status=(*["nominal"] * steps, "infeasible"),
+        gains=gains,
+        status=(*["nominal"] * 4, *["adjusted"] * (steps - 4), "infeasible"),
         certificates=certificates,
         nominal=plant.nominal_gain,
+        operator_gain=plant.operator_gain,
         kind=plant.kind,
         method="krasovskii",
         decay_rate=None,
@@ -175,17 +182,77 @@ def _number_of(text: str) -> int:
     return sum(map(ord, text))
 
 
+RATIOS = {"krasovskii": 0.5, "razumikhin": 1.0, "predictor": 1.2}
+"""Adjusted over nominal error in violated windows, by method; planted."""
+
+
 def _write_gain_study(folder: Path, scenario: Scenario) -> None:
-    """Nominal 1.8, 2.0, 2.2 cm; adjusted 0.49, 0.50, 0.51 of it in violated windows."""
+    """Nominal 1.8, 2.0, 2.2 cm; adjusted 0.49, 0.50, 0.51 of it, or so, in violated windows."""
+    study = scenario.gain_study
+    for name in paths.gain_study_logs(scenario):
+        method, gain, seed = _label(name)
+        error = np.full((study.num_windows, 10, 2), 0.02) * (1.0 + 0.1 * (seed - 32))
+        if gain == "adjusted":
+            for window in study.violation_windows:
+                error[window - 1] *= RATIOS[method] + 0.01 * (seed - 32) * (method != "razumikhin")
+        variant = study_scenario(scenario, method, gain)
+        _write_robots(folder / name, variant, error.reshape(-1, 2), seed)
+    for axis in GAIN_SWEEPS:
+        for point in gain_points(scenario, axis):
+            for gain in ("nominal", "adjusted"):
+                for seed in study.seeds:
+                    _write_point(folder, scenario, axis, point, gain, seed)
+    rows = [
+        {
+            "axis": axis,
+            "value": value,
+            "plant": "network",
+            "sampling_s": value if axis == "sampling_s" else 0.02,
+            "criterion": criterion,
+            "delay_steps": longest,
+            "max_delay_steps": 12,
+        }
+        for axis, value, criterion, longest in (
+            ("weight", 100.0, "exact", 8),
+            ("weight", 100.0, "c1", None),
+            ("weight", 100.0, "c3", 12),
+            ("sampling_s", 0.02, "exact", 3),
+            ("sampling_s", 0.05, "exact", 12),
+        )
+    ]
+    (folder / paths.STABILITY).parent.mkdir(parents=True, exist_ok=True)
+    (folder / paths.STABILITY).write_text(json.dumps(rows), encoding="utf-8")
+
+
+def _write_point(
+    folder: Path, scenario: Scenario, axis: str, point: GainPoint, gain: str, seed: int
+) -> None:
+    """2 cm, but 12 cm at its limits of one robot in the violated window; adjusted: 0.6 of it."""
+    error = np.full((2, 10, 2), 0.02) * (1.0 + 0.1 * (seed - 32))
+    saturated = np.zeros((2, 10, 2), np.uint32)
+    error[1, :, 1], saturated[1, :, 1] = 0.12, 1
+    if gain == "adjusted" and point.violation_delay_s[1] > 0.06:
+        error[1] *= 0.6
+    path = folder / paths.gain_sweep_log(axis, point.value, gain, seed)
+    _write_robots(path, point.scenario, error.reshape(-1, 2), seed, saturated.reshape(-1, 2))
+
+
+def _write_robots(
+    path: Path,
+    scenario: Scenario,
+    error_m: np.ndarray,
+    seed: int,
+    saturated: np.ndarray | int = 0,
+) -> None:
+    fields = _zero_fields(len(error_m))
+    fields["tracking_error_m"] = error_m
+    fields["control_saturated"][:] = saturated
     schedule = _schedule(scenario).to_json().encode()
-    for gain in ("nominal", "adjusted"):
-        for seed in scenario.gain_study.seeds:
-            fields = _zero_fields(220)
-            error = np.full((22, 10, 2), 0.02) * (1.0 + 0.1 * (seed - 32))
-            if gain == "adjusted":
-                for window in scenario.gain_study.violation_windows:
-                    error[window - 1] *= 0.5 + 0.01 * (seed - 32)
-            fields["tracking_error_m"] = error.reshape(220, 2)
-            path = folder / "gain_study" / f"krasovskii_{gain}_seed{seed}.mcap"
-            label = {"policy": "none", "seed": str(seed)}
-            _write_log(path, fields, metadata=label, attachments={"schedule.json": schedule})
+    label = {"policy": "none", "seed": str(seed)}
+    _write_log(path, fields, metadata=label, attachments={"schedule.json": schedule})
+
+
+def _label(name: str) -> tuple[Any, Any, int]:
+    """``gain_study/<method>_<gain>_seed<N>.mcap`` -> method, gain, N."""
+    method, gain, seed = Path(name).stem.rsplit("_", 2)
+    return method, gain, int(seed.removeprefix("seed"))

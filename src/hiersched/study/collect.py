@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
@@ -12,8 +11,12 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from hiersched.control import GainSchedule
 from hiersched.log import LogError, LogReader
+from hiersched.runs import paths
+from hiersched.runs.variants import STUDY_PLANTS, baseline_method
 from hiersched.scenario import Scenario
+from hiersched.scenario.schema import GainMethod
 from hiersched.study.fifo import FloatArray
 from hiersched.study.metrics import (
     RunMetrics,
@@ -24,7 +27,6 @@ from hiersched.study.metrics import (
 
 SWEEP_AXES = ("rayleigh_scale", "sampling_s", "reference", "load")
 BASELINE = "pf"
-_GAIN_LOG = re.compile(r"(?P<method>[a-z0-9]+)_(?P<gain>nominal|adjusted)_seed(?P<seed>\d+)\.mcap")
 
 
 def evaluation_log(results_dir: Path, policy: str, seed: int) -> Path:
@@ -75,41 +77,47 @@ def gain_frame(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
     -------
     DataFrame
         Columns method, plant, gain (nominal, adjusted), seed, slot (window, 1 = the first),
-        violated, error_cm; the scenario's own method first.
+        violated, error_cm; the scenario's own method first. Methods on one plant share the runs
+        with the nominal gain.
+
+    Raises
+    ------
+    FileNotFoundError
+        If a log of the study's methods and seeds is missing.
     """
-    folder = results_dir / "gain_study"
-    found = [
-        match for path in sorted(folder.glob("*.mcap")) if (match := _GAIN_LOG.fullmatch(path.name))
-    ]
-    own = scenario.control.method
-    methods = sorted({match["method"] for match in found}, key=lambda name: (name != own, name))
-    if not methods:
-        raise FileNotFoundError(f"{folder}: no log <method>_<nominal|adjusted>_seed<N>.mcap")
     rows: list[dict[str, Any]] = []
-    for method in methods:
-        for gain in ("nominal", "adjusted"):
+    for method in _study_methods(scenario):
+        for gain, run in (("nominal", baseline_method(scenario, method)), ("adjusted", method)):
             for seed in scenario.gain_study.seeds:
-                path = _existing(folder / f"{method}_{gain}_seed{seed}.mcap")
+                path = _existing(results_dir / paths.gain_study_log(run, gain, seed))
                 rows += _gain_rows(path, scenario, {"method": method, "gain": gain, "seed": seed})
     return pd.DataFrame(rows)
 
 
-def gain_schedules(results_dir: Path, scenario: Scenario) -> dict[str, Any]:
-    """Read the gain schedules (GainSchedule) attached to the logs of the gain study, by method."""
-    from hiersched.control import GainSchedule
-
-    frame_methods = dict.fromkeys(
-        match["method"]
-        for path in sorted((results_dir / "gain_study").glob("*.mcap"))
-        if (match := _GAIN_LOG.fullmatch(path.name))
-    )
+def gain_schedules(results_dir: Path, scenario: Scenario) -> dict[str, GainSchedule]:
+    """Read the gain schedules attached to the logs of the gain study, by method."""
     seed = scenario.gain_study.seeds[0]
-    schedules = {}
-    for method in sorted(frame_methods, key=lambda name: (name != scenario.control.method, name)):
-        path = _existing(results_dir / "gain_study" / f"{method}_adjusted_seed{seed}.mcap")
-        with LogReader(path, verify="chunks") as log:
-            schedules[method] = GainSchedule.from_json(_schedule_text(log))
-    return schedules
+    return {
+        method: attached_schedule(
+            _existing(results_dir / paths.gain_study_log(method, "adjusted", seed))
+        )
+        for method in _study_methods(scenario)
+    }
+
+
+def attached_schedule(path: Path) -> GainSchedule:
+    """Read the gain schedule that is attached to a log.
+
+    Raises
+    ------
+    LogError
+        If there is none.
+    """
+    with LogReader(path, verify="chunks") as log:
+        text = log.attachments.get("schedule.json")
+    if text is None:
+        raise LogError(path, 0, "no gain schedule (schedule.json) is attached")
+    return GainSchedule.from_json(text.decode())
 
 
 def training_frame(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
@@ -189,25 +197,21 @@ def _axis_key(value: float | str) -> float | str:
         return value
 
 
-def _gain_rows(path: Path, scenario: Scenario, labels: dict[str, Any]) -> list[dict[str, Any]]:
-    from hiersched.control import GainSchedule
+def _study_methods(scenario: Scenario) -> list[GainMethod]:
+    """Methods of the gain study, the scenario's own first."""
+    own = scenario.control.method
+    return sorted(scenario.gain_study.methods, key=lambda method: method != own)
 
+
+def _gain_rows(path: Path, scenario: Scenario, labels: dict[str, Any]) -> list[dict[str, Any]]:
     with LogReader(path, verify="chunks") as log:
         error_m: FloatArray = log.read("/robots", ["tracking_error_m"])["tracking_error_m"]
-        plant = GainSchedule.from_json(_schedule_text(log)).kind
     error_cm = tracking_error_by_window_cm(error_m, slots_per_window(scenario)).mean(axis=1)
-    violated = scenario.gain_study.violation_windows
+    plant, violated = STUDY_PLANTS[labels["method"]], scenario.gain_study.violation_windows
     return [
         {**labels, "plant": plant, "slot": slot, "violated": slot in violated, "error_cm": error}
         for slot, error in enumerate(error_cm.tolist(), start=1)
     ]
-
-
-def _schedule_text(log: LogReader) -> str:
-    for name, data in log.attachments.items():
-        if name.endswith("schedule.json"):
-            return data.decode()
-    raise LogError(log.path, 0, "no gain schedule (schedule.json) is attached")
 
 
 def _by_episode(values: NDArray[Any], length: int) -> NDArray[Any]:

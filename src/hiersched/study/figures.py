@@ -12,6 +12,12 @@ from hiersched.scenario import Scenario
 from hiersched.study.collect import evaluation_frame, gain_frame, sweep_frame, training_frame
 from hiersched.study.figures_delay import draw_load, draw_violations
 from hiersched.study.figures_gain import draw_gain
+from hiersched.study.figures_gain_grid import draw_gain_grid
+from hiersched.study.figures_gain_sweeps import (
+    draw_gain_stability,
+    draw_gain_sweeps,
+    draw_gain_traces,
+)
 from hiersched.study.figures_rates import (
     draw_dexterity,
     draw_rate_cdf,
@@ -19,6 +25,8 @@ from hiersched.study.figures_rates import (
     draw_sampling,
 )
 from hiersched.study.figures_training import draw_queues, draw_rewards
+from hiersched.study.gain_logs import stability_frame, trace_frame
+from hiersched.study.gain_summary import grid_table, sweeps_table
 from hiersched.study.samples import delay_tails, rate_distributions, reference_backlog
 from hiersched.study.style import house_style, save_figure
 from hiersched.study.summary import gain_table, policy_table, sweep_table
@@ -63,6 +71,8 @@ def build_figures(results: Path, scenario: Scenario) -> Mapping[str, Callable[[]
     policies = policy_table(runs, scenario)
     sweeps = sweep_table(sweep_frame(results, scenario), scenario)
     gains = gain_table(gain_frame(results, scenario))
+    grid, gain_sweeps = grid_table(results, scenario), sweeps_table(results, scenario)
+    traces, regions = trace_frame(results, scenario), stability_frame(results)
     reference = reference_backlog(results, scenario)
     rates, tails = rate_distributions(results, scenario), delay_tails(results, scenario)
     return {
@@ -75,4 +85,8 @@ def build_figures(results: Path, scenario: Scenario) -> Mapping[str, Callable[[]
         "fig8_violations": lambda: draw_violations(policies, runs, tails, scenario),
         "figX_load": lambda: draw_load(sweeps, scenario),
         "figX_gain": lambda: draw_gain(gains, scenario),
+        "figX_gain_grid": lambda: draw_gain_grid(grid, scenario),
+        "figX_gain_sweeps": lambda: draw_gain_sweeps(gain_sweeps, scenario),
+        "figX_gain_traces": lambda: draw_gain_traces(traces, scenario),
+        "figX_gain_stability": lambda: draw_gain_stability(regions, scenario),
     }

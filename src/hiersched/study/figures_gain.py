@@ -8,6 +8,7 @@ from matplotlib.figure import Figure
 
 from hiersched.scenario import Scenario
 from hiersched.study.style import (
+    GAIN_METHODS,
     PAPER_COLOR,
     Look,
     caption,
@@ -16,12 +17,12 @@ from hiersched.study.style import (
     shared_legend,
 )
 
-_NOMINAL = Look("nominal gain", "#D55E00", (0, (4, 1.5)), "s")
-_ADJUSTED = Look("adjusted gain", "#0072B2", "-", "o")
-_RATIOS = {
-    "krasovskii": Look("", "#0072B2", "none", "o"),
-    "razumikhin": Look("", "#009E73", "none", "^"),
-}
+_PAIR = (
+    ("nominal_cm", GAIN_METHODS["nominal"]),
+    ("adjusted_cm", Look("adjusted gain", "#0072B2", "-", "o")),
+)
+_SPREAD = 0.13
+"""Distance between the methods' points at one slot."""
 
 
 def draw_gain(gains: pd.DataFrame, scenario: Scenario) -> Figure:
@@ -37,14 +38,14 @@ def draw_gain(gains: pd.DataFrame, scenario: Scenario) -> Figure:
     figure, (left, right) = new_figure(width_ratios=[1.5, 1.0])
     method, plant = str(gains["method"].iloc[0]), str(gains["plant"].iloc[0])
     own = gains[gains["method"] == method]
-    for column, look in (("nominal_cm", _NOMINAL), ("adjusted_cm", _ADJUSTED)):
+    for column, look in _PAIR:
         bounds = own[f"{column}_lo"], own[f"{column}_hi"]
         draw_series(left, own["slot"], own[column], *bounds, look)
     for slot in scenario.gain_study.violation_windows:
         left.axvspan(slot - 0.5, slot + 0.5, color="#dddddd", zorder=0, linewidth=0)
     left.set_ylim(bottom=0.0)
     left.set_xlim(0.3, scenario.gain_study.num_windows + 0.7)
-    left.set_title(f"(a) tracking error, {plant} plant, {method.capitalize()} gains")
+    left.set_title(f"(a) tracking error, {plant} plant, {GAIN_METHODS[method].label} gains")
     left.set_xticks([1, *range(5, scenario.gain_study.num_windows + 1, 5)])
     left.set_xlabel(f"time slot (window of {scenario.robot.window_s:g} s)")
     left.set_ylabel("RMS over the window [cm]")
@@ -53,12 +54,11 @@ def draw_gain(gains: pd.DataFrame, scenario: Scenario) -> Figure:
     slots = sorted(violated["slot"].unique())
     groups = list(violated.groupby("method", sort=False))
     for number, (name, group) in enumerate(groups):
-        look = _RATIOS.get(str(name), Look("", "#5f5f5f", "none", "D"))
-        x = [
-            slots.index(slot) + 0.16 * (number - 0.5 * (len(groups) - 1)) for slot in group["slot"]
-        ]
-        label = f"{str(name).capitalize()}, {group['plant'].iloc[0]}"
+        look = GAIN_METHODS[str(name)]._replace(dashes="none")
+        shift = _SPREAD * (number - 0.5 * (len(groups) - 1))
+        x = [slots.index(slot) + shift for slot in group["slot"]]
         bounds = group["ratio_lo"], group["ratio_hi"]
+        label = look.label if group["plant"].iloc[0] == plant else f"{look.label}, split plant"
         draw_series(right, x, group["ratio"], *bounds, look, label=label)
     paper = violated[violated["method"] == method]
     right.plot(
@@ -77,15 +77,23 @@ def draw_gain(gains: pd.DataFrame, scenario: Scenario) -> Figure:
     top = float(violated["ratio_hi"].replace(np.inf, np.nan).max())
     right.set_ylim(0.0, 1.2 if np.isnan(top) else max(1.2, 1.05 * top))
     lowest, highest = paper["ratio"].min(), paper["ratio"].max()
-    right.set_title(f"(b) {method.capitalize()}: ratio {lowest:.2f} to {highest:.2f}")
+    right.set_title(f"(b) all methods; {GAIN_METHODS[method].label}: {lowest:.2f} to {highest:.2f}")
     right.set_xlabel("time slot of violated delay")
     right.set_ylabel("error, adjusted / nominal [1]")
-    shared_legend(figure, right, side="right")
+    right.legend(
+        ncols=2,
+        loc="lower left",
+        fontsize=6.2,
+        handletextpad=0.3,
+        columnspacing=0.6,
+        handlelength=1.6,
+        borderaxespad=0.0,
+    )
     caption(
         figure,
         f"Mean over robots and {len(scenario.gain_study.seeds)} seeds; bars: 95 % intervals, "
-        "Student t in (a), Fieller in (b). Grey: violated delay; elsewhere both loops have the "
-        f"nominal gain. Stars: the paper's Table II.{_missing_bars(violated)}",
+        "Student t in (a), Fieller in (b). Grey: violated delay. Each gain follows the delay. "
+        f"Stars: the paper's Table II.{_missing_bars(violated)}",
     )
     return figure
 
@@ -100,7 +108,7 @@ def _missing_bars(violated: pd.DataFrame) -> str:
         ("the interval is unbounded", np.isinf(violated["ratio_lo"])),
     )
     return "".join(
-        f" No bar ({', '.join(str(m).capitalize() for m in violated['method'][rows].unique())}): "
+        f" No bar ({', '.join(GAIN_METHODS[m].label for m in violated['method'][rows].unique())}): "
         f"{reason}."
         for reason, rows in reasons
         if rows.any()

@@ -87,6 +87,15 @@ SLICES = {
     "embb": Look("eMBB", "#E69F00", (0, (4, 1.5)), "s"),
     "urllc": Look("URLLC", "#0072B2", "-", "o"),
 }
+GAIN_METHODS = {
+    "nominal": Look("nominal gain", "#D55E00", (0, (4, 1.5)), "s"),
+    "krasovskii": Look("Krasovskii", "#0072B2", "-", "o"),
+    "razumikhin": Look("Razumikhin", "#009E73", (0, (6, 1.5, 1, 1.5)), "^"),
+    "predictor": Look("predictor", "#CC79A7", (0, (1, 1.2)), "D"),
+    "latency_compensated": Look("latency-compensated", "#3b3b3b", (0, (7, 1, 2, 1)), "v"),
+    "h2": Look("H2", "#E69F00", (0, (3, 1, 1, 1)), "P"),
+}
+"""How the methods of the gain study are drawn."""
 
 
 def policy_look(policy: str, learned: str = "ddpg") -> Look:

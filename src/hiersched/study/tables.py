@@ -19,6 +19,12 @@ from hiersched.study.collect import (
     sweep_frame,
 )
 from hiersched.study.files import write_bytes
+from hiersched.study.gain_summary import (
+    grid_table,
+    methods_table,
+    stability_table,
+    sweeps_table,
+)
 from hiersched.study.paper import SYMBOLS
 from hiersched.study.summary import (
     comparison_table,
@@ -34,6 +40,10 @@ _LEARNED = (
     "The learned policy has one trained policy a world: its intervals mix training seed and world."
 )
 _FIELLER = "Ratios are of means over the same worlds, in brackets Fieller's 95 % interval."
+_TROUBLE = (
+    "Shares of robots: `off_track`, over 10 cm in a window; `saturated`, at a control limit for "
+    "half of one. All robots are in the means."
+)
 TITLES = {
     "table1_parameters": (
         "Table I: parameters",
@@ -70,6 +80,31 @@ TITLES = {
     "sweeps": (
         "Sweeps: one axis varied at a time",
         f"{_SEEDS} The CSV has more columns.",
+    ),
+    "gain_methods": (
+        "Gain study: every method against the nominal gain, in the same worlds",
+        f"{_SEEDS} {_FIELLER} `violated` and `calm`: all such slots. `delay_steps`, `status`, "
+        "`certified`: the delays there, the gains in force at them and how many of these are "
+        "certified; gains follow the delay, so a method may also differ from the nominal gain in "
+        f"calm slots. {_TROUBLE}",
+    ),
+    "gain_grid": (
+        "Gain study: weight q against a constant delay in the violated window",
+        f"{_SEEDS} {_FIELLER} `effect`: helps or hurts where that interval excludes 1, `same gain` "
+        f"where the nominal gain stays in force. {_TROUBLE}",
+    ),
+    "gain_sweeps": (
+        "Gain study: sampling interval and measurement noise",
+        f"{_SEEDS} {_FIELLER} The first unstable constant delay is of the nominal gain, by the "
+        "spectral radius of the lifted system; a dash: none up to the longest delay with a gain. "
+        f"{_TROUBLE}",
+    ),
+    "gain_stability": (
+        "Gain study: longest delays",
+        "Up to `delay_steps` samples: `exact`, the spectral radius of the lifted system is below 1 "
+        "at each constant delay; `c1`, `c2`, `c3`, every sequence of such delays is certified, all "
+        "for the nominal gain; `adjusted`, exact, for the gain made for the longest delay of the "
+        "grid. `at_least`: no longer delay was tried; a dash: not even without delay.",
     ),
     "gains": (
         "Gain schedule",
@@ -138,6 +173,10 @@ def write_tables(
         "comparison": comparison_table(evaluation),
         "sweeps": sweep_table(sweeps, scenario),
         "gains": schedule_table(gain_schedules(results, scenario), scenario),
+        "gain_methods": methods_table(results, scenario),
+        "gain_grid": grid_table(results, scenario),
+        "gain_sweeps": sweeps_table(results, scenario),
+        "gain_stability": stability_table(results),
         "runs": pd.concat([evaluation, sweeps], ignore_index=True),
     }
     written = []
