@@ -12,9 +12,12 @@ from typing import Any
 import pytest
 
 from hiersched.runs import gains as gains_stage
-from hiersched.runs import paths, spec
+from hiersched.runs import paths, spec, stability
+from hiersched.runs.bound import compute_bound
 from hiersched.runs.evaluate import evaluate
-from hiersched.runs.gain_study import gain_study
+from hiersched.runs.gain_points import GAIN_SWEEPS
+from hiersched.runs.gain_study import gain_study, gain_sweep
+from hiersched.runs.generalise import generalise
 from hiersched.runs.policies import run_classical
 from hiersched.runs.sweep import sweep
 from hiersched.scenario import Scenario
@@ -25,8 +28,11 @@ NOT_A_USE = {
     "scenario_to_dict",
     "scenario_sha256",
     "swept_scenario",
+    "cell_scenario",
     "study_scenario",
     "gain_designs",
+    "gain_points",
+    "robots_alone",
     "design_of",
 }
 
@@ -75,7 +81,26 @@ def test_a_sweep_reads_what_it_declares(
     values = spec.sweep_values(tiny, axis, "classical")
     # The swept key is read from the variant: its values are those of the axis.
     replaced = set() if axis == "sampling_s" else {spec.SWEPT_KEYS[axis]}
-    assert undeclared(set(reads), values) == {"sweeps.policies", *replaced}
+    # "policies" are those of the group; along the load, all evaluated ones.
+    listed = {"sweeps.policies"} | ({"evaluate.policies"} if axis == "load" else set())
+    assert undeclared(set(reads), values) == {*listed, *replaced}
+
+
+def test_cells_of_other_sizes_read_what_they_declare(
+    tiny: Scenario, results: Path, reads: set[str]
+) -> None:
+    study = replace(tiny.generalise, cells=((1, 2, 4),), duration_s=0.05, seeds=(1,))
+    generalise(replace(tiny, generalise=study), results, "classical", run_classical)
+    values = spec.cell_values(tiny, "classical")
+    assert undeclared(set(reads), values) == {"generalise.policies"}
+
+
+def test_the_bound_reads_what_it_declares(tiny: Scenario, results: Path, reads: set[str]) -> None:
+    few = replace(tiny, evaluate=replace(tiny.evaluate, policies=("pf",), duration_s=0.05))
+    evaluate(few, results, "classical", run_classical)
+    reads.clear()
+    compute_bound(few, results, results / paths.BOUND)
+    assert undeclared(set(reads), spec.bound_values(tiny)) == set()
 
 
 def test_the_gain_study_reads_what_it_declares(
@@ -86,6 +111,26 @@ def test_the_gain_study_reads_what_it_declares(
     # The slot loop's constants are built, but the robots run alone.
     unused = ("users.", "traffic.", "radio.", "objective.", "schedulers.", "learning.reward_scale")
     assert {key for key in undeclared_reads if not key.startswith(unused)} == set()
+
+
+@pytest.mark.parametrize("axis", list(GAIN_SWEEPS))
+def test_a_gain_sweep_reads_what_it_declares(
+    tiny: Scenario, results: Path, reads: set[str], axis: str
+) -> None:
+    gain_sweep(tiny, results, axis)
+    undeclared_reads = undeclared(set(reads), spec.gain_sweep_values(tiny, axis))
+    unused = ("users.", "traffic.", "radio.", "objective.", "schedulers.", "learning.reward_scale")
+    assert {key for key in undeclared_reads if not key.startswith(unused)} == set()
+
+
+def test_stability_reads_what_it_declares(
+    tiny: Scenario, results: Path, reads: set[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(stability, "certified_delays", lambda *_: {})
+    stability.write_stability(tiny, results)
+    assert undeclared(set(reads), spec.stability_values(tiny)) == {
+        *("control.gain", "control.hold_samples")  # of the loop, which does not run
+    }
 
 
 def test_gain_design_reads_what_it_declares(
@@ -115,12 +160,16 @@ JOBS: dict[str, Callable[[Scenario], Any]] = {
     "evaluate": lambda s: spec.evaluate_values(s, "classical"),
     "evaluate_ddpg": lambda s: spec.evaluate_values(s, "ddpg"),
     "gain_study": spec.gain_study_values,
+    "gain_sweep_grid": lambda s: spec.gain_sweep_values(s, "grid"),
+    "gain_sweep_noise": lambda s: spec.gain_sweep_values(s, "noise"),
+    "stability": spec.stability_values,
     **{
         f"sweep_{axis}": (lambda s, axis=axis: spec.sweep_values(s, axis, "classical"))
         for axis in spec.SWEPT_KEYS
     },
 }
 SWEEPS = {f"sweep_{axis}" for axis in spec.SWEPT_KEYS}
+GAIN_RUNS = {"gain_study", "gain_sweep_grid", "gain_sweep_noise"}
 SLOT_LOOP = {"train", "evaluate", "evaluate_ddpg", *SWEEPS}
 
 
@@ -128,7 +177,7 @@ SLOT_LOOP = {"train", "evaluate", "evaluate_ddpg", *SWEEPS}
     ("key", "value", "jobs"),
     [
         ("evaluate.duration_s", 0.3, {"evaluate", "evaluate_ddpg"}),
-        ("evaluate.policies", ("ddpg", "pf", "max_rate"), {"evaluate"}),
+        ("evaluate.policies", ("ddpg", "pf", "max_rate"), {"evaluate", "sweep_load"}),
         ("evaluate.policies", ("pf", "ddpg", "edf"), set()),
         ("learning.episodes", 8, {"train"}),
         ("learning.reward_scale", 10.0, SLOT_LOOP),
@@ -138,11 +187,15 @@ SLOT_LOOP = {"train", "evaluate", "evaluate_ddpg", *SWEEPS}
         ("sweeps.duration_s", 0.2, SWEEPS),
         ("traffic.load", 0.8, SLOT_LOOP - {"sweep_load"}),
         ("radio.rayleigh_scale", 2.0, (SLOT_LOOP - {"sweep_rayleigh_scale"})),
-        ("radio.slot_s", 0.005, SLOT_LOOP | {"gain_study"}),
+        ("radio.slot_s", 0.005, SLOT_LOOP | GAIN_RUNS),
         ("gain_study.num_robots", 5, {"gain_study"}),
+        ("gain_study.sweep_robots", 5, GAIN_RUNS - {"gain_study"}),
+        ("gain_study.noise_position_m", (0.1,), {"gain_sweep_noise"}),
+        ("gain_study.weight", (700.0,), {"gain_sweep_grid", "stability"}),
+        ("gain_study.methods", ("krasovskii",), {"gain_study"}),
         ("log.train_profile", "full", {"train"}),
-        ("robot.speed_mps", 0.5, SLOT_LOOP | {"gain_study", "gains", "gains_0.04"}),
-        ("control.gain", "nominal", SLOT_LOOP | {"gain_study"}),
+        ("robot.speed_mps", 0.5, SLOT_LOOP | GAIN_RUNS | {"stability", "gains", "gains_0.04"}),
+        ("control.gain", "nominal", SLOT_LOOP | GAIN_RUNS),
         ("traffic.reliability_levels", (0.9,), SLOT_LOOP),
     ],
 )

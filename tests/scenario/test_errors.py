@@ -75,6 +75,8 @@ from hiersched.scenario import ScenarioError, find_scenario, load_scenario
         ("learning: {batch_size: 99999}", ["batch_size = 99999", "replay_capacity = 16000"]),
         ("evaluate: {seeds: [101, 101]}", ["evaluate.seeds = [101, 101]", "every seed once"]),
         ("sweeps: {policies: [pf, pf]}", ["sweeps.policies = ['pf', 'pf']", "every policy once"]),
+        ("generalise: {cells: [[20, 10, 25]]}", ["generalise.cells = [20, 10, 25]", "25 PRBs"]),
+        ("generalise: {cells: [[1, 1, 2], [1, 1, 2]]}", ["generalise.cells", "every cell once"]),
         ("sweeps: {duration_s: 0.005}", ["sweeps.duration_s = 0.005", "radio.slot_s = 0.01"]),
         (
             "gain_study: {violation_windows: [5, 23]}",

@@ -13,7 +13,7 @@ from hiersched.control import Certificate, GainSchedule
 from hiersched.log import TOPICS, LogDims, LogWriter
 from hiersched.runs import paths
 from hiersched.runs.gain_points import GAIN_SWEEPS, GainPoint, gain_points
-from hiersched.runs.variants import study_scenario
+from hiersched.runs.variants import study_scenario, swept_policies
 from hiersched.scenario import Scenario, load_scenario
 from hiersched.simulator.gains import plant_of
 from hiersched.study.fifo import backlog_path, deadline_in_slots, late_packets
@@ -162,7 +162,7 @@ def results(tmp_path_factory: pytest.TempPathFactory, tiny: Scenario) -> Path:
             path = folder / "eval" / policy / f"seed{seed}.mcap"
             _write_log(path, _run(tiny, policy, seed), metadata=label)
     for axis in ("rayleigh_scale", "sampling_s", "reference", "load"):
-        for policy in tiny.sweeps.policies:
+        for policy in swept_policies(tiny, axis):
             for value in getattr(tiny.sweeps, axis):
                 for seed in tiny.sweeps.seeds:
                     text = value if isinstance(value, str) else f"{value:g}"

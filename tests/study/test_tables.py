@@ -142,7 +142,7 @@ def test_sweeps_have_every_axis_value_and_policy(
     tables: dict[str, pd.DataFrame], results: Path, tiny: Scenario
 ) -> None:
     table = tables["sweeps"]
-    assert len(table) == 4 * 2 * 2
+    assert len(table) == 4 * 2 * 2 + 2  # along the load, a third policy
     assert table["value"].tolist()[0] == "0.5"
     row = table.query("axis == 'reference' and value == 'arc' and policy == 'pf'").iloc[0]
     logs = [results / "sweep/reference/pf" / f"arc_seed{s}.mcap" for s in tiny.sweeps.seeds]

@@ -15,6 +15,7 @@ from hiersched.runs.variants import (
     check_variants,
     gain_designs,
     group_policies,
+    swept_policies,
 )
 from hiersched.scenario import (
     ScenarioError,

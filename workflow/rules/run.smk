@@ -31,7 +31,7 @@ for s in SCENARIOS:
                 "{sys.executable} {params.args} > {log} 2>&1"
 
     for axis in SWEPT_KEYS:
-        for group in groups_of(s.sweeps.policies):
+        for group in groups_of(swept_policies(s, axis)):
 
             rule:
                 name:
@@ -58,6 +58,56 @@ for s in SCENARIOS:
                     f"Sweeping {axis} of {s.name}: {group}"
                 shell:
                     "{sys.executable} {params.args} > {log} 2>&1"
+
+    for group in groups_of(s.generalise.policies):
+
+        rule:
+            name:
+                f"generalise_{group}_{s.name}"
+            input:
+                kernels=KERNELS,
+                gains=f"{folder(s)}/{paths.gain_file('schedule')}",
+                policies=weights(s, group),
+            output:
+                whole(inside(s, paths.cell_logs(s, group))),
+            log:
+                f"{folder(s)}/logs/generalise_{group}.log",
+            benchmark:
+                f"{folder(s)}/benchmarks/generalise_{group}.tsv"
+            threads: 1
+            params:
+                spec=spec.stage_spec(
+                    f"generalise_{group}",
+                    spec.cell_values(s, group),
+                    script(f"generalise_{group}"),
+                ),
+                args=arguments(f"generalise_{group}", s),
+            message:
+                f"Running policies of {s.name} in cells of other sizes: {group}"
+            shell:
+                "{sys.executable} {params.args} > {log} 2>&1"
+
+    rule:
+        name:
+            f"bound_{s.name}"
+        input:
+            kernels=KERNELS,
+            gains=f"{folder(s)}/{paths.gain_file('schedule')}",
+            logs=[name for group in GROUPS for name in inside(s, paths.evaluation_logs(s, group))],
+        output:
+            ensure(f"{folder(s)}/{paths.BOUND}", non_empty=True),
+        log:
+            f"{folder(s)}/logs/bound.log",
+        benchmark:
+            f"{folder(s)}/benchmarks/bound.tsv"
+        threads: 1
+        params:
+            spec=spec.stage_spec("bound", spec.bound_values(s), script("bound")),
+            args=arguments("bound", s),
+        message:
+            f"Computing exact optima of {s.name}"
+        shell:
+            "{sys.executable} {params.args} > {log} 2>&1"
 
     rule:
         name:

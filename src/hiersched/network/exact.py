@@ -134,7 +134,9 @@ def exact_allocation(
 def owned_rates(rate_mbps: NDArray[np.float32], prb_owner: NDArray[np.uint32]) -> FloatArray:
     """Return the rate of every user under an allocation, shape (U,)."""
     own = rate_mbps[prb_owner, np.arange(len(prb_owner))].astype(np.float64)
-    return np.bincount(prb_owner, weights=own, minlength=len(rate_mbps))
+    rates: FloatArray = np.zeros(len(rate_mbps))
+    np.add.at(rates, prb_owner, own)
+    return rates
 
 
 @dataclass(frozen=True)
@@ -211,7 +213,7 @@ class _Programme:
         convex = bool(self._convex[user, number])
         point = rate if convex else float(self._high[user, number])
         value, slope = (
-            float(part) for part in lagrangian(self._terms, np.int64(user), np.float64(point))
+            float(part[0]) for part in lagrangian(self._terms, np.array([user]), np.array([point]))
         )
         slope = slope if convex else 0.0
         cost, gets, has = (self._columns.part(kind, user, number) for kind in (2, 1, 0))

@@ -8,11 +8,14 @@ from hiersched.runs.variants import (
     LEARNED_GROUP,
     STUDY_GAINS,
     SWEPT_KEYS,
+    Cell,
     baseline_method,
+    cell_text,
     design_of,
     gain_designs,
     group_policies,
     study_scenario,
+    swept_policies,
     swept_scenario,
     swept_values,
     value_text,
@@ -26,6 +29,7 @@ STABILITY = "gains/stability.json"
 PROGRESS = f"train/{LEARNED_GROUP}/progress.csv"
 
 RUNS = "tables/runs.csv"
+BOUND = "bound/slots.csv"
 CLAIMS = ("claims.json", "claims.md")
 
 FIGURES = (
@@ -123,9 +127,24 @@ def sweep_logs(scenario: Scenario, axis: str, group: str) -> list[str]:
     """List the logs of a group of policies along a sweep."""
     return [
         sweep_log(axis, policy, value, seed)
-        for policy in group_policies(scenario.sweeps.policies, group)
+        for policy in group_policies(swept_policies(scenario, axis), group)
         for value in swept_values(scenario, axis)
         for seed in scenario.sweeps.seeds
+    ]
+
+
+def cell_log(cell: Cell, policy: str, seed: int) -> str:
+    """Log of a policy in a cell of another size."""
+    return f"generalise/{cell_text(cell)}/{policy}/seed{seed}.mcap"
+
+
+def cell_logs(scenario: Scenario, group: str) -> list[str]:
+    """List the logs of a group of policies in cells of other sizes."""
+    return [
+        cell_log(cell, policy, seed)
+        for cell in scenario.generalise.cells
+        for policy in group_policies(scenario.generalise.policies, group)
+        for seed in scenario.generalise.seeds
     ]
 
 
@@ -191,6 +210,7 @@ def all_logs(scenario: Scenario) -> list[str]:
         names += gain_sweep_logs(scenario, axis)
     for group in GROUPS:
         names += evaluation_logs(scenario, group)
+        names += cell_logs(scenario, group)
         for axis in SWEPT_KEYS:
             names += sweep_logs(scenario, axis, group)
     return names

@@ -53,7 +53,12 @@ def run_classical(
     seeds: Sequence[int],
     num_slots: int,
 ) -> Iterator[WorldRun]:
-    """Run a classical scheduler in all worlds as one batch (a `PolicyRunner`)."""
+    """Run a classical scheduler in all worlds as one batch (a `PolicyRunner`); or the optimum."""
+    if policy == "exact":
+        from hiersched.runs.exact import run_exact
+
+        yield from run_exact(scenario, gains, purpose, seeds, num_slots)
+        return
     record = Simulator(scenario, gains, seed_worlds(purpose, seeds), num_slots).run(policy)
     for index, seed in enumerate(seeds):
         yield WorldRun(seed=seed, fields=record.environment(index))

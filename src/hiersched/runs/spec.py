@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from hiersched.runs.fingerprint import code_fingerprint
-from hiersched.runs.variants import SWEPT_KEYS, gain_designs, group_policies
+from hiersched.runs.variants import SWEPT_KEYS, gain_designs, group_policies, swept_policies
 from hiersched.scenario import Scenario, scenario_to_dict
 
 _LOG_FORM = ("log.compression", "log.chunk_bytes")
@@ -72,6 +72,16 @@ KEYS: dict[str, tuple[str, ...]] = {
         *_LOG_FORM,
         "log.sweep_profile",
     ),
+    "generalise": (
+        *_SLOT_LOOP,
+        "learning.reward_scale",
+        "generalise.seeds",
+        "generalise.duration_s",
+        "generalise.cells",
+        *_LOG_FORM,
+        "log.sweep_profile",
+    ),
+    "bound": (*_SLOT_LOOP, "learning.reward_scale", "evaluate", "bound"),
     "gain_study": (
         *_FORCED_DELAYS,
         "gain_study.methods",
@@ -141,8 +151,19 @@ def sweep_values(scenario: Scenario, axis: str, group: str) -> dict[str, Any]:
     values = picked(scenario, (*KEYS["sweep"], f"sweeps.{axis}"))
     if axis != "sampling_s":  # control.sampling_s says which schedule is the scenario's own
         del values[SWEPT_KEYS[axis]]
-    policies = group_policies(scenario.sweeps.policies, group)
+    policies = group_policies(swept_policies(scenario, axis), group)
     return {**values, "policies": sorted(policies)}
+
+
+def cell_values(scenario: Scenario, group: str) -> dict[str, Any]:
+    """Pick what a group of policies in cells of other sizes depends on."""
+    policies = group_policies(scenario.generalise.policies, group)
+    return {**picked(scenario, KEYS["generalise"]), "policies": sorted(policies)}
+
+
+def bound_values(scenario: Scenario) -> dict[str, Any]:
+    """Pick what the exact optima depend on, besides the logs."""
+    return picked(scenario, KEYS["bound"])
 
 
 def gain_study_values(scenario: Scenario) -> dict[str, Any]:

@@ -8,7 +8,13 @@ from hiersched.runs import paths
 from hiersched.runs.gains import load_gains
 from hiersched.runs.logging import RunLabel, clear_logs, log_block, open_log
 from hiersched.runs.policies import PolicyRunner
-from hiersched.runs.variants import group_policies, swept_scenario, swept_values, value_text
+from hiersched.runs.variants import (
+    group_policies,
+    swept_policies,
+    swept_scenario,
+    swept_values,
+    value_text,
+)
 from hiersched.scenario import Scenario
 
 
@@ -29,7 +35,7 @@ def sweep(scenario: Scenario, results: Path, axis: str, group: str, run: PolicyR
         How they are run.
     """
     seeds = scenario.sweeps.seeds
-    policies = group_policies(scenario.sweeps.policies, group)
+    policies = group_policies(swept_policies(scenario, axis), group)
     wanted = {results / name for name in paths.sweep_logs(scenario, axis, group)}
     for folder in {path.parent for path in wanted}:
         clear_logs(folder, wanted)

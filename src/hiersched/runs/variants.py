@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import Literal
+from functools import partial
+from typing import Literal, TypeAlias
 
 from hiersched.scenario import Scenario, ScenarioError
 from hiersched.scenario.consistency import inconsistencies
@@ -18,6 +20,8 @@ SWEPT_KEYS = {
 """Axis of a sweep -> the key that it varies."""
 
 Gain = Literal["nominal", "adjusted"]
+Cell: TypeAlias = tuple[int, int, int]
+"""URLLC users, eMBB users, PRBs."""
 
 STUDY_PLANTS: dict[GainMethod, Literal["network", "split"]] = {
     "krasovskii": "network",
@@ -55,6 +59,18 @@ def swept_values(scenario: Scenario, axis: str) -> tuple[float | str, ...]:
     return values
 
 
+def swept_policies(scenario: Scenario, axis: str) -> tuple[str, ...]:
+    """Policies of a sweep: along the load, which decides most, all that are evaluated.
+
+    The exact optimum runs where a scenario names it and nowhere else: it is slow.
+    """
+    named: tuple[str, ...] = scenario.sweeps.policies
+    if axis != "load":
+        return named
+    evaluated = [policy for policy in scenario.evaluate.policies if policy != "exact"]
+    return tuple(dict.fromkeys((*named, *evaluated)))
+
+
 def swept_scenario(scenario: Scenario, axis: str, value: float | str) -> Scenario:
     """Return the scenario with one value of a sweep in place.
 
@@ -66,6 +82,48 @@ def swept_scenario(scenario: Scenario, axis: str, value: float | str) -> Scenari
     section, key = SWEPT_KEYS[axis].split(".")
     changed = replace(getattr(scenario, section), **{key: value})
     return _checked(replace(scenario, **{section: changed}), f"sweeps.{axis} = {value_text(value)}")
+
+
+def cell_text(cell: Cell) -> str:
+    """Return a cell as it stands in file names: ``u4_e16_k25``."""
+    return "u{}_e{}_k{}".format(*cell)
+
+
+def cell_scenario(scenario: Scenario, cell: Cell) -> Scenario:
+    """Return the scenario in a cell of another size, its PRBs as wide as before.
+
+    The loads of the users are as spread as the scenario's: each is the average of its part of the
+    sorted list, so that users of twice as many have every load twice.
+
+    Raises
+    ------
+    ScenarioError
+        If the cell does not fit the rest of the scenario.
+    """
+    num_urllc, num_embb, num_prb = cell
+    radio, traffic = scenario.radio, scenario.traffic
+    bandwidth_hz = radio.bandwidth_hz / radio.num_prb * num_prb
+    variant = replace(
+        scenario,
+        users=Users(num_urllc=num_urllc, num_embb=num_embb),
+        radio=replace(radio, num_prb=num_prb, bandwidth_hz=bandwidth_hz),
+        traffic=replace(
+            traffic,
+            urllc_offered_mbps=_spread(traffic.urllc_offered_mbps, num_urllc),
+            embb_offered_mbps=_spread(traffic.embb_offered_mbps, num_embb),
+        ),
+    )
+    return _checked(variant, f"generalise.cells = {list(cell)}")
+
+
+def _spread(offered_mbps: float | tuple[float, ...], count: int) -> float | tuple[float, ...]:
+    """Averages over `count` equal parts of the sorted loads; one number stays as it is."""
+    if not isinstance(offered_mbps, Sequence):
+        return offered_mbps
+    loads = sorted(offered_mbps)
+    each = [load for load in loads for _ in range(count)]  # count parts of len(loads) numbers
+    parts = range(0, len(each), len(loads))
+    return tuple(sum(each[part : part + len(loads)]) / len(loads) for part in parts)
 
 
 def study_scenario(scenario: Scenario, method: GainMethod, gain: Gain) -> Scenario:
@@ -160,12 +218,17 @@ def check_variants(scenario: Scenario) -> None:
         If a swept value does not fit the rest of the scenario; all faults are listed.
     """
     faults = []
-    for axis in SWEPT_KEYS:
-        for value in swept_values(scenario, axis):
-            try:
-                swept_scenario(scenario, axis, value)
-            except ScenarioError as error:
-                faults.append(str(error))
+    variants = [
+        partial(swept_scenario, scenario, axis, value)
+        for axis in SWEPT_KEYS
+        for value in swept_values(scenario, axis)
+    ]
+    variants += [partial(cell_scenario, scenario, cell) for cell in scenario.generalise.cells]
+    for variant in variants:
+        try:
+            variant()
+        except ScenarioError as error:
+            faults.append(str(error))
     if faults:
         raise ScenarioError("\n".join(faults))
 

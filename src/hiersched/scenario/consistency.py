@@ -32,6 +32,7 @@ def inconsistencies(scenario: Scenario) -> list[str]:
         *_arrivals(scenario),
         *_learning(scenario),
         *_studies(scenario),
+        *_cells(scenario),
     ]
 
 
@@ -190,6 +191,7 @@ def _studies(scenario: Scenario) -> list[str]:
     held_out = {
         "evaluate.seeds": scenario.evaluate.seeds,
         "sweeps.seeds": scenario.sweeps.seeds,
+        "generalise.seeds": scenario.generalise.seeds,
         "gain_study.seeds": scenario.gain_study.seeds,
         "learning.seeds": scenario.learning.seeds,
     }
@@ -223,7 +225,11 @@ def _studies(scenario: Scenario) -> list[str]:
         if low > high:
             faults.append(f"{key} = [{low}, {high}]: the lower bound first")
     slot_s = scenario.radio.slot_s
-    for name, section in (("evaluate", scenario.evaluate), ("sweeps", scenario.sweeps)):
+    for name, section in (
+        ("evaluate", scenario.evaluate),
+        ("sweeps", scenario.sweeps),
+        ("generalise", scenario.generalise),
+    ):
         if not _is_multiple(section.duration_s, slot_s):
             faults.append(
                 f"{name}.duration_s = {section.duration_s}: must be a multiple of "
@@ -256,4 +262,17 @@ def _gain_sweeps(scenario: Scenario) -> list[str]:
             f"gain_study.noise_position_m = {list(position)}: every pair with "
             f"gain_study.noise_heading_rad = {list(heading)} once"
         )
+    return faults
+
+
+def _cells(scenario: Scenario) -> list[str]:
+    cells = scenario.generalise.cells
+    faults = [
+        f"generalise.cells = {list(cell)}: {cell[0]} + {cell[1]} users, at most as many as its "
+        f"{cell[2]} PRBs"
+        for cell in cells
+        if cell[0] + cell[1] > cell[2]
+    ]
+    if len(set(cells)) != len(cells):
+        faults.append(f"generalise.cells = {[list(cell) for cell in cells]}: every cell once")
     return faults

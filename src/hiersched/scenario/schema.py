@@ -28,6 +28,7 @@ PolicyName = Literal[
     "log_rule",
     "edf",
     "drift_plus_penalty",
+    "exact",
 ]
 NonEmpty = Field(min_length=1)
 
@@ -207,6 +208,25 @@ class Sweeps:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Bound:
+    """Slots of the evaluation whose exact optimum is computed."""
+
+    __pydantic_config__ = _STRICT
+    slots_per_log: Count
+
+
+@dataclass(frozen=True, kw_only=True)
+class Generalise:
+    """Cells of other sizes, in which trained policies run as they are."""
+
+    __pydantic_config__ = _STRICT
+    seeds: Annotated[tuple[Seed, ...], NonEmpty]
+    duration_s: Positive
+    policies: Annotated[tuple[PolicyName, ...], NonEmpty]
+    cells: Annotated[tuple[tuple[Count, Count, Count], ...], NonEmpty]
+
+
+@dataclass(frozen=True, kw_only=True)
 class GainStudy:
     """Forced delays, nominal against adjusted gain: Table II and the sweeps around it."""
 
@@ -254,6 +274,8 @@ class Scenario:
     learning: Learning
     evaluate: Evaluation
     sweeps: Sweeps
+    bound: Bound
+    generalise: Generalise
     gain_study: GainStudy
     log: Log
 

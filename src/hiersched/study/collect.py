@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hiersched.control import GainSchedule
 from hiersched.log import LogError, LogReader
 from hiersched.runs import paths
-from hiersched.runs.variants import STUDY_PLANTS, baseline_method
+from hiersched.runs.variants import STUDY_PLANTS, baseline_method, swept_policies
 from hiersched.scenario import Scenario
 from hiersched.scenario.schema import GainMethod
 from hiersched.study.fifo import FloatArray
@@ -55,7 +55,7 @@ def sweep_frame(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
     rows = []
     for axis in SWEEP_AXES:
         values = getattr(scenario.sweeps, axis)
-        for policy in scenario.sweeps.policies:
+        for policy in swept_policies(scenario, axis):
             logs = _sweep_logs(results_dir / "sweep" / axis / policy)
             for value in values:
                 for seed in scenario.sweeps.seeds:

@@ -1,0 +1,202 @@
+"""Sampled slots of the evaluation: what was decided there, and the exact optimum."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from hiersched.log import LogError, LogReader
+from hiersched.network.allocation import AllocationScratch, allocation_scratch
+from hiersched.network.exact import exact_allocation, lagrangian, owned_rates
+from hiersched.network.lyapunov import UserTerms
+from hiersched.network.schedulers import CLASSICAL, DRIFT_PLUS_PENALTY, schedule_slot
+from hiersched.radio.channel import prb_rates
+from hiersched.runs import paths
+from hiersched.runs.exact import slot_terms
+from hiersched.runs.gains import load_gains
+from hiersched.runs.policies import seed_worlds
+from hiersched.scenario import Scenario
+from hiersched.simulator import Simulator, SlotConstants
+
+TIME_LIMIT_S = 20.0
+"""Of one programme; the bound holds where it runs out."""
+
+REFERENCE = "drift_plus_penalty"
+"""In the states of this policy every classical scheduler is asked what it would do."""
+
+
+class Moment(NamedTuple):
+    """A slot as its scheduler saw it: arrays of shape (U,), rates (U, K)."""
+
+    slot: int
+    rate_mbps: NDArray[np.float32]
+    hol_delay_s: NDArray[np.float64]
+    average_rate_mbps: NDArray[np.float64]
+    terms: UserTerms
+    prb_owner: NDArray[np.uint32]
+
+
+def sampled_slots(num_slots: int, count: int) -> NDArray[np.int64]:
+    """Return the middles of `count` equal parts of a run, fewer if it has fewer slots."""
+    count = min(count, num_slots)
+    return (2 * np.arange(count) + 1) * num_slots // (2 * count)
+
+
+def compute_bound(scenario: Scenario, results: Path, output: Path) -> None:
+    """Write one row for every decision in a sampled slot: its Lagrangian and the optimum's.
+
+    Columns: policy (whose states they are), seed, slot, decider, value, exact, bound, and of the
+    assignment of first PRBs alone the costs exact and greedy, by Lagrangian and by log rate.
+
+    Parameters
+    ----------
+    scenario
+        Sections `bound` and `evaluate` decide.
+    results
+        Folder of the study, with its evaluation logs.
+    output
+        CSV to write.
+
+    Raises
+    ------
+    LogError
+        If a log lacks the channel, or its rates do not follow from channel and allocation.
+    """
+    _, gains = load_gains(results / paths.gain_file("schedule"), scenario)
+    rows: list[dict[str, Any]] = []
+    for policy in scenario.evaluate.policies:
+        for seed in scenario.evaluate.seeds:
+            world = Simulator(scenario, gains, seed_worlds("evaluate", [seed]), 1)
+            path = results / paths.evaluation_log(policy, seed)
+            for moment in read_moments(path, world, scenario.bound.slots_per_log):
+                rows += _rows(moment, world.constants, {"policy": policy, "seed": seed})
+        print(f"bound {policy}: {scenario.bound.slots_per_log} slots a world", flush=True)
+    output.parent.mkdir(parents=True, exist_ok=True)
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    part = output.with_name(output.name + ".part")
+    part.write_text(text.getvalue(), encoding="utf-8")
+    part.replace(output)
+
+
+def read_moments(path: Path, world: Simulator, count: int) -> Iterator[Moment]:
+    """Read evenly spaced slots of an evaluation log; `world` is the log's, for its path gains.
+
+    Raises
+    ------
+    LogError
+        If the log lacks the channel, or its rates do not follow from channel and allocation.
+    """
+    with LogReader(path, verify="chunks") as log:
+        if log.profile != "full":
+            raise LogError(path, 0, f"profile {log.profile!r} has no channel: must be 'full'")
+        fading = log.read("/channel", ["fading_power"])["fading_power"]
+        queue = log.read("/queue", ["backlog_packets", "average_rate_mbps"])
+        delay = log.read("/delay", ["hol_delay_s", "multiplier"])
+        dexterity = log.read("/robots", ["dexterity_index"])["dexterity_index"]
+        allocation = log.read("/allocation", ["prb_owner", "rate_mbps"])
+    constants = world.constants
+    for slot in sampled_slots(len(fading), count).tolist():
+        rate = np.zeros(fading.shape[1:], np.float32)
+        power = np.ascontiguousarray(fading[slot]).reshape(-1)
+        prb_rates(power, world.state.snr[0], constants.prb_bandwidth_mhz, rate.reshape(-1))
+        owner = np.ascontiguousarray(allocation["prb_owner"][slot])
+        if not np.array_equal(owned_rates(rate, owner), allocation["rate_mbps"][slot]):
+            raise LogError(path, 0, f"slot {slot}: its rates do not follow from its channel")
+        terms = slot_terms(
+            constants, queue["backlog_packets"][slot], dexterity[slot], delay["multiplier"][slot]
+        )
+        hol, average = delay["hol_delay_s"][slot], queue["average_rate_mbps"][slot]
+        yield Moment(slot, rate, np.array(hol), np.array(average), terms, owner)
+
+
+def greedy_assignment(cost: NDArray[np.float64]) -> float:
+    """Return the total cost of giving every user one PRB, the cheapest pair first.
+
+    Parameters
+    ----------
+    cost
+        Of each user with each PRB alone, shape (U, K).
+    """
+    left = cost.copy()
+    total = 0.0
+    for _ in range(len(cost)):
+        user, prb = np.unravel_index(int(left.argmin()), left.shape)
+        total += float(cost[user, prb])
+        left[user, :] = np.inf
+        left[:, prb] = np.inf
+    return total
+
+
+def _rows(
+    moment: Moment, constants: SlotConstants, labels: dict[str, Any]
+) -> Iterator[dict[str, Any]]:
+    """Rows of one slot: the policy itself, the greedy rule, and others in states of reference."""
+    terms = moment.terms
+    best = exact_allocation(moment.rate_mbps, terms, time_limit_s=TIME_LIMIT_S)
+    scratch = allocation_scratch(*moment.rate_mbps.shape)
+    deciders = {labels["policy"]: moment.prb_owner}
+    asked = CLASSICAL if labels["policy"] == REFERENCE else {REFERENCE: DRIFT_PLUS_PENALTY}
+    for name, code in asked.items():
+        if name not in deciders:
+            deciders[name] = _decide(code, moment, constants, scratch)
+    for decider, owner in deciders.items():
+        yield {
+            **labels,
+            "slot": moment.slot,
+            "decider": decider,
+            "value": _value(moment.rate_mbps, terms, owner),
+            "exact": best.value,
+            "bound": best.bound,
+            **_assignment(moment),
+        }
+
+
+def _decide(
+    code: int, moment: Moment, constants: SlotConstants, scratch: AllocationScratch
+) -> NDArray[np.uint32]:
+    """Return what a classical scheduler decides in a slot."""
+    num_users, num_prb = moment.rate_mbps.shape
+    owner = np.zeros(num_prb, np.uint32)
+    schedule_slot(
+        code,
+        moment.slot,
+        moment.rate_mbps,
+        np.ones(num_users),
+        moment.hol_delay_s,
+        moment.average_rate_mbps,
+        moment.terms,
+        constants.rules,
+        np.zeros(num_users),
+        scratch,
+        owner,
+    )
+    return owner
+
+
+def _value(rate_mbps: NDArray[np.float32], terms: UserTerms, owner: NDArray[np.uint32]) -> float:
+    rates = owned_rates(rate_mbps, owner)
+    return float(lagrangian(terms, np.arange(len(rates)), rates)[0].sum())
+
+
+def _assignment(moment: Moment) -> dict[str, float]:
+    """Costs of one PRB for everyone, exact and greedy, by Lagrangian and by minus log rate."""
+    rate = moment.rate_mbps.astype(np.float64)
+    costs = {
+        "lagrangian": lagrangian(moment.terms, np.arange(len(rate))[:, None], rate)[0],
+        "log_rate": -np.log(rate),
+    }
+    result = {}
+    for name, cost in costs.items():
+        result[f"first_{name}_exact"] = float(cost[linear_sum_assignment(cost)].sum())
+        result[f"first_{name}_greedy"] = greedy_assignment(cost)
+    return result

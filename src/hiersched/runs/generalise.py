@@ -1,0 +1,56 @@
+"""Cells of other sizes: policies run there as they are, beside the schedulers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from hiersched.runs import paths
+from hiersched.runs.gains import load_gains
+from hiersched.runs.logging import RunLabel, clear_logs, log_block, open_log
+from hiersched.runs.policies import PolicyRunner
+from hiersched.runs.variants import cell_scenario, cell_text, group_policies
+from hiersched.scenario import Scenario
+
+
+def generalise(scenario: Scenario, results: Path, group: str, run: PolicyRunner) -> None:
+    """Run and log a group of policies in every cell.
+
+    Parameters
+    ----------
+    scenario
+        Section `generalise` decides.
+    results
+        Folder of the study; the scenario's gain schedule lies in it.
+    group
+        Which policies: one of `variants.GROUPS`.
+    run
+        How they are run.
+    """
+    seeds = scenario.generalise.seeds
+    num_slots = round(scenario.generalise.duration_s / scenario.radio.slot_s)
+    wanted = {results / name for name in paths.cell_logs(scenario, group)}
+    for folder in {path.parent for path in wanted}:
+        clear_logs(folder, wanted)
+    for cell in scenario.generalise.cells:
+        variant = cell_scenario(scenario, cell)
+        schedule, gains = load_gains(results / paths.gain_file("schedule"), variant)
+        policies = group_policies(scenario.generalise.policies, group)
+        for policy in policies:
+            for world in run(variant, gains, policy, "generalise", seeds, num_slots):
+                with open_log(
+                    results / paths.cell_log(cell, policy, world.seed),
+                    variant,
+                    schedule,
+                    RunLabel(
+                        stage="generalise",
+                        policy=policy,
+                        seed=world.seed,
+                        axis="cell",
+                        value=cell_text(cell),
+                    ),
+                    profile=scenario.log.sweep_profile,
+                    metadata=world.metadata,
+                    attachments=world.attachments,
+                ) as writer:
+                    log_block(writer, variant, schedule, world.fields)
+        print(f"generalise {cell_text(cell)}: {', '.join(policies)}", flush=True)

@@ -1,0 +1,140 @@
+"""Cells of other sizes, the exact optimum as a policy, and the bound on logged slots."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hiersched.log import LogError, LogReader
+from hiersched.network.exact import exact_allocation, lagrangian, owned_rates
+from hiersched.runs import paths
+from hiersched.runs.bound import compute_bound, greedy_assignment, sampled_slots
+from hiersched.runs.evaluate import evaluate
+from hiersched.runs.exact import slot_terms
+from hiersched.runs.gains import load_gains
+from hiersched.runs.generalise import generalise
+from hiersched.runs.policies import run_classical, seed_worlds
+from hiersched.runs.variants import cell_scenario, swept_policies
+from hiersched.scenario import Scenario, ScenarioError
+from hiersched.simulator import Simulator
+
+
+def with_policies(scenario: Scenario, *policies: str) -> Scenario:
+    evaluation = replace(scenario.evaluate, policies=policies, seeds=(11, 12), duration_s=0.1)
+    return replace(scenario, evaluate=evaluation, bound=replace(scenario.bound, slots_per_log=3))
+
+
+@pytest.fixture
+def bound(tiny: Scenario, results: Path) -> list[dict[str, str]]:
+    scenario = with_policies(tiny, "drift_plus_penalty", "pf", "exact")
+    evaluate(scenario, results, "classical", run_classical)
+    compute_bound(scenario, results, results / paths.BOUND)
+    with (results / paths.BOUND).open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_nothing_falls_below_the_bound(bound: list[dict[str, str]]) -> None:
+    for row in bound:
+        value, exact, lower = (float(row[name]) for name in ("value", "exact", "bound"))
+        assert lower <= exact <= value + 1e-6 * (1.0 + abs(value))
+        assert exact - lower <= 1e-6 * (1.0 + abs(exact))
+        for name in ("lagrangian", "log_rate"):
+            first = [float(row[f"first_{name}_{how}"]) for how in ("exact", "greedy")]
+            assert first[0] <= first[1] + 1e-9
+
+
+def test_the_exact_policy_meets_the_bound_and_others_do_not(bound: list[dict[str, str]]) -> None:
+    gaps: dict[str, list[float]] = {}
+    for row in bound:
+        if row["policy"] == row["decider"]:
+            gap = float(row["value"]) - float(row["exact"])
+            gaps.setdefault(row["policy"], []).append(gap)
+    assert {len(found) for found in gaps.values()} == {2 * 3}
+    assert max(gaps["exact"]) == pytest.approx(0.0, abs=1e-3)
+    assert max(gaps["pf"]) > 1.0
+
+
+def test_every_scheduler_is_asked_in_the_states_of_the_reference(
+    bound: list[dict[str, str]],
+) -> None:
+    asked = {row["decider"] for row in bound if row["policy"] == "drift_plus_penalty"}
+    assert {"pf", "edf", "max_weight", "round_robin"} <= asked
+    assert {row["decider"] for row in bound if row["policy"] == "pf"} == {
+        "pf",
+        "drift_plus_penalty",
+    }
+
+
+def test_values_are_those_of_the_first_slot(tiny: Scenario, results: Path) -> None:
+    """Slot 0 from the simulator's own state: the optimum there, and what PF was worth."""
+    scenario = with_policies(tiny, "pf")
+    scenario = replace(scenario, evaluate=replace(scenario.evaluate, duration_s=0.01))
+    evaluate(scenario, results, "classical", run_classical)
+    compute_bound(scenario, results, results / paths.BOUND)
+    with (results / paths.BOUND).open(newline="") as file:
+        row = next(csv.DictReader(file))
+    _, gains = load_gains(results / "gains/schedule.json", scenario)
+    simulator = Simulator(scenario, gains, seed_worlds("evaluate", [11]), 1)
+    rate = simulator.state.prb_rate_mbps[0].copy()
+    robots = np.full(2, scenario.robot.initial_dexterity_index)
+    terms = slot_terms(simulator.constants, np.zeros(4), robots, np.zeros(2))
+    best = exact_allocation(rate, terms)
+    assert float(row["exact"]) == pytest.approx(best.value)
+    rates = owned_rates(rate, simulator.run("pf").prb_owner[0, 0])
+    assert float(row["value"]) == pytest.approx(lagrangian(terms, np.arange(4), rates)[0].sum())
+
+
+def test_a_log_without_channel_is_refused(tiny: Scenario, results: Path) -> None:
+    scenario = with_policies(tiny, "pf")
+    compact = replace(scenario, log=replace(scenario.log, evaluate_profile="compact"))
+    evaluate(compact, results, "classical", run_classical)
+    with pytest.raises(LogError, match="must be 'full'"):
+        compute_bound(compact, results, results / paths.BOUND)
+
+
+def test_greedy_assignment_takes_the_cheapest_pair_first() -> None:
+    cost = np.array([[1.0, 2.0, 9.0], [1.5, 8.0, 9.5]])  # 1.0 first leaves 8.0; the best is 3.5
+    assert greedy_assignment(cost) == 9.0
+
+
+def test_sampled_slots_are_the_middles_of_equal_parts() -> None:
+    assert sampled_slots(1400, 4).tolist() == [175, 525, 875, 1225]
+    assert sampled_slots(2, 5).tolist() == [0, 1]
+
+
+def test_a_cell_keeps_the_spread_of_the_loads_and_the_width_of_a_prb(tiny: Scenario) -> None:
+    traffic = replace(tiny.traffic, urllc_offered_mbps=(10.0, 30.0), embb_offered_mbps=22.0)
+    base = replace(tiny, traffic=traffic)
+    cells = [cell_scenario(base, cell) for cell in ((1, 3, 5), (2, 2, 5), (3, 1, 10), (4, 4, 10))]
+    offered = [cell.traffic.urllc_offered_mbps for cell in cells]
+    assert offered == [(20.0,), (10.0, 30.0), (10.0, 20.0, 30.0), (10.0, 10.0, 30.0, 30.0)]
+    for cell in cells:
+        assert cell.radio.bandwidth_hz / cell.radio.num_prb == pytest.approx(4e5)
+        assert cell.traffic.embb_offered_mbps == 22.0
+    with pytest.raises(ScenarioError, match=r"generalise\.cells = \[4, 2, 5\]"):
+        cell_scenario(base, (4, 2, 5))
+
+
+def test_logs_of_other_cells(tiny: Scenario, results: Path) -> None:
+    study = replace(tiny.generalise, cells=((1, 3, 6), (3, 4, 9)), seeds=(41, 42), duration_s=0.05)
+    scenario = replace(tiny, generalise=replace(study, policies=("pf", "edf")))
+    generalise(scenario, results, "classical", run_classical)
+    names = paths.cell_logs(scenario, "classical")
+    assert len(names) == 2 * 2 * 2
+    for name in names:
+        with LogReader(results / name) as log:
+            assert log.metadata["axis"] == "cell"
+            assert f"/{log.metadata['value']}/{log.metadata['policy']}/" in f"/{name}"
+            sizes = (log.dims.num_urllc, log.dims.num_embb, log.dims.num_prb)
+            assert "u{}_e{}_k{}".format(*sizes) == log.metadata["value"]
+            assert log.num_slots == 5
+
+
+def test_along_the_load_all_evaluated_policies_run_but_the_slow_one(tiny: Scenario) -> None:
+    scenario = with_policies(tiny, "ddpg", "edf", "exact")
+    assert swept_policies(scenario, "load") == ("ddpg", "pf", "edf")
+    assert swept_policies(scenario, "reference") == ("ddpg", "pf")
