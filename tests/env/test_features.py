@@ -1,11 +1,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from hiersched.env import FEATURES, SlotLoop, agent_views, user_features
+from hiersched.env.core import task_costs
+from hiersched.env.features import num_features
 from hiersched.randomness import world_keys
 from hiersched.simulator import Simulator
 
@@ -53,3 +56,47 @@ def test_an_action_out_of_range_is_refused(scenario, gains, bad):
     actions[0, 2] = bad
     with pytest.raises(ValueError, match="actions"):
         loop.step(actions)
+
+
+def test_features_of_a_robot_by_hand(scenario, gains):
+    """A robot 5 cm off; 21 ms at the head of the line and the core latency make two samples."""
+    simulator = Simulator(scenario, gains, world_keys("t", 1, 2), 4)
+    state = np.zeros((2, 3, 5))
+    state[1, 2, :2] = 0.03, -0.04
+    simulator.state.robots.set_state(state)
+    simulator.state.hol_delay_s[1, 2] = 0.021
+    simulator.state.robots.gain_delay_steps[1, 2] = 4
+    features = user_features(simulator, np.zeros((2, 3)), observe_robots=True)
+    assert features.shape == (2, 5, 8 + 3) == (2, 5, num_features(True))
+    largest = scenario.max_delay_steps
+    assert features[1, 2, 8:].tolist() == pytest.approx([math.log(6.0), 2 / largest, 4 / largest])
+    assert features[0, 2, 8:].tolist() == pytest.approx([0.0, 1 / largest, 0.0])
+    assert (features[:, 3:, 8:] == 0.0).all()
+    simulator.state.hol_delay_s[1, 2] = 1e3
+    assert user_features(simulator, np.zeros((2, 3)), observe_robots=True)[1, 2, 9] == 1.0
+
+
+def test_the_task_costs_each_robot_its_error_in_centimetres(scenario, gains):
+    learning = replace(scenario.learning, task_weight=3.0, reward_scale=50.0)
+    loop = SlotLoop(replace(scenario, learning=learning), gains, world_keys("t", 1, 2), 4)
+    loop.step(np.zeros((2, 5)))
+    error_cm = 100.0 * loop.record.tracking_error_m[:, 0]
+    np.testing.assert_allclose(task_costs(loop.record, learning), 3.0 * error_cm / 50.0)
+    assert (error_cm > 0.0).all()
+
+
+@pytest.mark.parametrize("start", ["max_weight", "drift_plus_penalty"])
+def test_no_action_is_the_scheduler_that_learning_starts_from(scenario, gains, start):
+    learning = replace(scenario.learning, start=start)
+    loop = SlotLoop(replace(scenario, learning=learning), gains, world_keys("t", 1, 3), 6)
+    wanted = Simulator(scenario, gains, world_keys("t", 1, 3), 6).run(start)
+    for slot in range(6):
+        loop.step(np.zeros((3, 5)))
+        np.testing.assert_array_equal(loop.record.prb_owner[:, 0], wanted.prb_owner[:, slot])
+    loop.reset(world_keys("t", 1, 3))
+    favoured = np.tile([-1.0, -1.0, -1.0, -1.0, 1.0], (3, 1))
+    given = []
+    for _ in range(6):
+        loop.step(favoured)
+        given.append(loop.record.prb_owner[:, 0].copy())
+    assert not np.array_equal(np.stack(given, axis=1), wanted.prb_owner)

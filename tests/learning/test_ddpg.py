@@ -39,11 +39,12 @@ def copied(batch):
     return Transitions(*(field.copy() for field in batch))
 
 
-def perceptron(flat, inputs):
+def perceptron(flat, inputs, outputs=1):
     """One hidden layer of three units, float64."""
     size = len(inputs)
     bias, weight = flat[:3], flat[3 : 3 + 3 * size].reshape(size, 3)
-    last_bias, last = flat[3 + 3 * size], flat[4 + 3 * size :]
+    rest = flat[3 + 3 * size :]
+    last_bias, last = rest[:outputs], rest[outputs:].reshape(3, outputs)
     return np.maximum(inputs @ weight + bias, 0.0) @ last + last_bias
 
 
@@ -60,15 +61,24 @@ def views(features):
     return [*((0, u) for u in urllc), *((1, u) for u in embb)]
 
 
-def counts_under(actors, features, exponent):
-    raw = np.array([perceptron(actors[agent], seen) for agent, seen in views(features)])
+def counts_under(actors, features, exponent, network):
+    if network == "mlp":
+        seen = features.reshape(-1).astype(np.float64)
+        raw = np.append(perceptron(actors[0], seen, 3), perceptron(actors[1], seen, 3)[:2])
+    else:
+        raw = np.array([perceptron(actors[agent], seen)[0] for agent, seen in views(features)])
     return water_filled(np.exp(exponent * np.tanh(raw))), np.square(raw).mean()
 
 
-def user_values(critics, features, counts):
+def user_values(critics, features, counts, network):
+    """Value of each user; that of the flat critic stands for all users of its slice."""
+    if network == "mlp":
+        seen = np.append(features.reshape(-1).astype(np.float64), counts / 4.0)
+        urllc, embb = (perceptron(critic, seen)[0] for critic in critics)
+        return np.array([urllc] * 3 + [embb] * 2)
     return np.array(
         [
-            perceptron(critics[agent], np.append(seen, count / 4.0))
+            perceptron(critics[agent], np.append(seen, count / 4.0))[0]
             for (agent, seen), count in zip(views(features), counts, strict=True)
         ]
     )
@@ -81,15 +91,21 @@ def slope(function, flat, entry, step=1e-5):
     return (function(up) - function(down)) / (2 * step)
 
 
+@pytest.mark.parametrize("network", ["shared", "mlp"])
 @pytest.mark.parametrize("reward", ["cooperative", "independent"])
-def test_one_update_against_loops_and_finite_differences(scenario, reward):
+def test_one_update_against_loops_and_finite_differences(scenario, reward, network):
     """Adam's first step moves a parameter by the learning rate against its gradient's sign.
 
     The losses are written out user by user in NumPy and differentiated numerically; no line is
     shared with the learner.
     """
     learner, learning = learner_for(
-        scenario, reward=reward, gradient_clip=1e9, floor_slope=0.0, action_penalty=0.05
+        scenario,
+        reward=reward,
+        network=network,
+        gradient_clip=1e9,
+        floor_slope=0.0,
+        action_penalty=0.05,
     )
     rng = np.random.default_rng(8)
     for name in ("actor", "critic", "target_actor", "target_critic"):
@@ -115,12 +131,14 @@ def test_one_update_against_loops_and_finite_differences(scenario, reward):
             for k in range(4):
                 reward = batch.base_reward[seed, k].astype(np.float64)
                 reward[:3] += multipliers[seed] * batch.constraint[seed, k] / learning.reward_scale
+                if network == "mlp":
+                    reward[:3], reward[3:] = reward[:3].mean(), reward[3:].mean()
                 counts, _ = counts_under(
-                    before["target_actor"][seed], following[k], learning.weight_exponent
+                    before["target_actor"][seed], following[k], learning.weight_exponent, network
                 )
-                later = user_values(before["target_critic"][seed], following[k], counts)
+                later = user_values(before["target_critic"][seed], following[k], counts, network)
                 error = (
-                    user_values(critics, seen[k], batch.prb_count[seed, k])
+                    user_values(critics, seen[k], batch.prb_count[seed, k], network)
                     - reward
                     - learning.discount * later
                 )[users]
@@ -140,8 +158,8 @@ def test_one_update_against_loops_and_finite_differences(scenario, reward):
             actors = [flat if agent == a else before["actor"][seed, a] for a in range(2)]
             total = 0.0
             for k in range(4):
-                counts, size = counts_under(actors, seen[k], learning.weight_exponent)
-                values = user_values(critics, seen[k], counts)
+                counts, size = counts_under(actors, seen[k], learning.weight_exponent, network)
+                values = user_values(critics, seen[k], counts, network)
                 parts = values[:3].mean(), values[3:].mean()
                 value = sum(parts) if reward == "cooperative" else parts[agent]
                 total += (learning.action_penalty * size - value / price) / 4
@@ -161,7 +179,7 @@ def test_one_update_against_loops_and_finite_differences(scenario, reward):
 
 def check_signs(loss, flat, moved, rate):
     checked = 0
-    for entry in range(0, len(flat), 2):
+    for entry in range(0, len(flat), 3):
         gradient = slope(loss, flat, entry)
         if abs(gradient) > 2e-5:
             assert moved[entry] == pytest.approx(-rate * np.sign(gradient), rel=0.02)

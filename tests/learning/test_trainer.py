@@ -7,11 +7,33 @@ import numpy as np
 import pytest
 
 from hiersched.learning.checkpoint import CheckpointError
-from hiersched.learning.trainer import Trainer, train, user_rewards
+from hiersched.learning.rewards import user_rewards
+from hiersched.learning.trainer import Trainer, train
 from hiersched.randomness import world_key
 from hiersched.simulator import Simulator
 
 ENVS, SLOTS = 2, 6
+
+
+VARIANTS = {
+    "ddpg": {},
+    "ddpg, mlp, from max_weight": {"network": "mlp", "start": "max_weight"},
+    "a2c": {"algorithm": "a2c", "rollout_slots": 4},
+    "a2c, mlp, robots": {
+        "algorithm": "a2c",
+        "rollout_slots": 2,
+        "network": "mlp",
+        "start": "drift_plus_penalty",
+        "reward": "independent",
+        "task_weight": 2.0,
+        "observe_robots": True,
+    },
+}
+
+
+@pytest.fixture(scope="module", params=VARIANTS.values(), ids=VARIANTS)
+def variant(request, tiny):
+    return replace(tiny, learning=replace(tiny.learning, **request.param))
 
 
 @pytest.fixture(scope="module")
@@ -38,15 +60,15 @@ def assert_same(one, other):
             np.testing.assert_array_equal(value, getattr(b, name), err_msg=name)
 
 
-def test_the_same_seeds_give_the_same_bits(tiny, gains):
-    first, second = train(tiny, gains, show=False), train(tiny, gains, show=False)
+def test_the_same_seeds_give_the_same_bits(variant, gains):
+    first, second = train(variant, gains, show=False), train(variant, gains, show=False)
     assert_same(first, second)
     assert not np.array_equal(first[0].parameters, first[1].parameters)
-    assert np.abs(first[0].parameters[:, -8:]).max() > 0.0
+    assert (np.abs(first[0].parameters[:, -8:]).max(axis=1) > 0.0).all()
 
 
-def test_an_interrupted_training_ends_with_the_same_bits(tiny, gains, tmp_path):
-    whole = train(tiny, gains, progress=tmp_path / "whole.csv", show=False)
+def test_an_interrupted_training_ends_with_the_same_bits(variant, gains, tmp_path):
+    whole = train(variant, gains, progress=tmp_path / "whole.csv", show=False)
     checkpoint = tmp_path / "checkpoint.pt"
     calls = []
 
@@ -56,9 +78,11 @@ def test_an_interrupted_training_ends_with_the_same_bits(tiny, gains, tmp_path):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train(tiny, gains, on_slots=interrupt, checkpoint=checkpoint, show=False)
+        train(variant, gains, on_slots=interrupt, checkpoint=checkpoint, show=False)
     assert checkpoint.exists()
-    resumed = train(tiny, gains, progress=tmp_path / "parts.csv", checkpoint=checkpoint, show=False)
+    resumed = train(
+        variant, gains, progress=tmp_path / "parts.csv", checkpoint=checkpoint, show=False
+    )
     assert_same(whole, resumed)
     assert not checkpoint.exists()
 
@@ -82,29 +106,29 @@ def test_a_checkpoint_of_another_training_is_refused(tiny, gains, tmp_path):
         train(other, gains, checkpoint=checkpoint, show=False)
 
 
-def test_a_seed_learns_the_same_alone_up_to_rounding(tiny, gains):
-    both = train(tiny, gains, show=False)
-    alone = replace(tiny, learning=replace(tiny.learning, seeds=(2,)))
+def test_a_seed_learns_the_same_alone_up_to_rounding(variant, gains):
+    both = train(variant, gains, show=False)
+    alone = replace(variant, learning=replace(variant.learning, seeds=(2,)))
     np.testing.assert_allclose(
         train(alone, gains, show=False)[0].parameters, both[1].parameters, atol=1e-4
     )
 
 
-def test_every_episode_is_reported_and_can_be_run_again(tiny, gains):
+def test_every_episode_is_reported_and_can_be_run_again(variant, gains):
     """The logged weights, replayed in the episode's world, give the logged slots."""
     seen = {0: [], 1: []}
     train(
-        tiny,
+        variant,
         gains,
         on_slots=lambda seed, block: seen[seed].append({k: v.copy() for k, v in block.items()}),
         show=False,
     )
     assert [len(blocks) for blocks in seen.values()] == [3 * ENVS, 3 * ENVS]
     block = seen[1][3]
-    simulator = Simulator(tiny, gains, np.array([world_key("train", 2, 3)], np.uint64), SLOTS)
+    simulator = Simulator(variant, gains, np.array([world_key("train", 2, 3)], np.uint64), SLOTS)
     for slot in range(SLOTS):
         record = simulator.run(
-            "pf",
+            variant.learning.start,
             1,
             weights=block["weight"][slot][None].astype(np.float64),
             multipliers=block["multiplier"][slot][None],
@@ -148,6 +172,18 @@ def test_user_rewards_have_the_records_reward_as_their_mean(tiny, gains):
         shares = user_rewards(loop.record, loop.simulator.state.backlog_packets, tiny)
         np.testing.assert_allclose(shares[:, :3].mean(1), loop.record.reward_urllc[:, 0], rtol=1e-9)
         np.testing.assert_allclose(shares[:, 3:].mean(1), loop.record.reward_embb[:, 0], rtol=1e-9)
+
+
+def test_a_robots_tracking_error_is_priced_in_its_users_reward(tiny, gains):
+    priced = replace(tiny, learning=replace(tiny.learning, task_weight=2.0))
+    loop = Trainer(priced, gains).loop
+    loop.step(np.zeros((2 * ENVS, 5)))
+    after = loop.simulator.state.backlog_packets
+    less = user_rewards(loop.record, after, tiny) - user_rewards(loop.record, after, priced)
+    error_cm = 100.0 * loop.record.tracking_error_m[:, 0]
+    np.testing.assert_allclose(less[:, :3], 2.0 * error_cm / tiny.learning.reward_scale)
+    assert (less[:, 3:] == 0.0).all()
+    assert (error_cm > 0.0).all()
 
 
 def test_rounds_that_are_not_whole_are_refused(tiny, gains):
