@@ -12,7 +12,7 @@ from hiersched.log import LogReader
 from hiersched.randomness import world_key
 from hiersched.runs import paths
 from hiersched.runs.evaluate import evaluate
-from hiersched.runs.gain_study import forced_delays, gain_study
+from hiersched.runs.gain_study import forced_delays, gain_study, gain_sweep
 from hiersched.runs.gains import design_gains, load_gains
 from hiersched.runs.policies import run_classical, seed_worlds
 from hiersched.runs.sweep import sweep
@@ -132,3 +132,33 @@ def test_gain_study_meets_the_same_delays_with_both_gains(tiny: Scenario, result
         assert log.metadata["gain"] == "adjusted"
         assert log.metadata["method"] == "razumikhin"
         assert b'"razumikhin"' in log.attachments["schedule.json"]
+
+
+def test_a_gain_sweep_meets_the_delays_of_each_point(tiny: Scenario, results: Path) -> None:
+    gain_sweep(tiny, results, "grid")
+    logs = {
+        Path(name).name: fields_of(results / name) for name in paths.gain_sweep_logs(tiny, "grid")
+    }
+    for name, fields in logs.items():
+        weight, delay_s, *_ = name.removesuffix(".mcap").split("_")
+        violated = fields["network_delay_s"][100:]
+        assert np.array_equal(violated, np.full((100, 2), float(delay_s)))
+        assert fields["network_delay_s"][:100].max() <= 0.02
+        # Another weight is another loop in the same world and under the same calm delays.
+        other = logs[name.replace(weight, "q900" if weight == "q700" else "q700")]
+        assert np.array_equal(other["network_delay_s"], fields["network_delay_s"])
+        assert not np.array_equal(other["state"], fields["state"])
+    with LogReader(results / "gain_study/grid/q900_0.04_adjusted_seed31.mcap") as log:
+        wanted = {"axis": "grid", "value": "q900_0.04", "stage": "gain_study", "gain": "adjusted"}
+        assert wanted.items() <= log.metadata.items()
+
+
+def test_the_noise_of_a_gain_sweep_is_in_force(tiny: Scenario, results: Path) -> None:
+    gain_sweep(tiny, results, "noise")
+    gain_sweep(tiny, results, "sampling_s")
+    noisy, usual = (
+        fields_of(results / paths.gain_sweep_log(axis, value, "nominal", 31))
+        for axis, value in (("noise", "0_0.01"), ("sampling_s", "0.02"))
+    )
+    assert np.array_equal(noisy["network_delay_s"], usual["network_delay_s"])
+    assert not np.array_equal(noisy["control"], usual["control"])
