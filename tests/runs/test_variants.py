@@ -5,8 +5,10 @@ from dataclasses import replace
 import pytest
 
 from hiersched.runs import paths
+from hiersched.runs.gain_points import GAIN_SWEEPS, gain_points
 from hiersched.runs.variants import (
     SWEPT_KEYS,
+    baseline_method,
     check_variants,
     design_of,
     gain_designs,
@@ -15,6 +17,7 @@ from hiersched.runs.variants import (
     swept_scenario,
     swept_values,
     value_text,
+    weighted_scenario,
 )
 from hiersched.scenario import Scenario, ScenarioError, scenario_to_dict
 
@@ -51,7 +54,9 @@ def test_a_swept_value_must_fit(tiny: Scenario) -> None:
 
 
 def test_designs(tiny: Scenario) -> None:
-    assert list(gain_designs(tiny)) == ["schedule", "schedule_0.04", "schedule_razumikhin"]
+    others = ("0.04", "razumikhin", "predictor", "q900")
+    assert list(gain_designs(tiny)) == ["schedule", *(f"schedule_{name}" for name in others)]
+    assert design_of(tiny, weighted_scenario(tiny, 900.0)) == "schedule_q900"
     assert design_of(tiny, swept_scenario(tiny, "sampling_s", 0.02)) == "schedule"
     assert design_of(tiny, swept_scenario(tiny, "sampling_s", 0.04)) == "schedule_0.04"
     assert design_of(tiny, study_scenario(tiny, "krasovskii", "nominal")) == "schedule"
@@ -79,4 +84,28 @@ def test_no_two_logs_share_a_path(tiny: Scenario) -> None:
             for name in paths.sweep_logs(tiny, axis, group)
         ),
     ]
-    assert len(set(names)) == len(names) == 2 + 2 + 8 + 3 + 9 + 12
+    names += [name for axis in GAIN_SWEEPS for name in paths.gain_sweep_logs(tiny, axis)]
+    gain_logs = 5 * 2 + (4 + 2 + 1) * 2 * 2
+    assert len(set(names)) == len(names) == 2 + 2 + gain_logs + 5 + 9 + 13
+
+
+def test_methods_on_one_plant_share_the_runs_with_the_nominal_gain(tiny: Scenario) -> None:
+    logs = paths.gain_study_logs(tiny)
+    assert "gain_study/predictor_adjusted_seed31.mcap" in logs
+    assert not [name for name in logs if "predictor_nominal" in name]
+    assert baseline_method(tiny, "predictor") == "krasovskii"
+    assert baseline_method(tiny, "razumikhin") == "razumikhin"
+
+
+def test_points_of_the_gain_sweeps(tiny: Scenario) -> None:
+    grid = gain_points(tiny, "grid")
+    assert [point.value for point in grid] == ["q700_0.02", "q700_0.04", "q900_0.02", "q900_0.04"]
+    assert grid[2].violation_delay_s == (0.02, 0.02)
+    assert grid[2].scenario == weighted_scenario(tiny, 900.0)
+    (noise,) = gain_points(tiny, "noise")
+    robot = replace(tiny.robot, noise_position_m=0.0, noise_heading_rad=0.01)
+    assert noise.scenario == replace(tiny, robot=robot)
+    variant = noise.variant("nominal")
+    assert (variant.users.num_urllc, variant.control.gain) == (2, "nominal")
+    with pytest.raises(ValueError, match="axis = 'load': must be one of grid, sampling_s, noise"):
+        gain_points(tiny, "load")

@@ -23,7 +23,8 @@ SMOKE = "config/scenarios/smoke.yaml"
 ALWAYS = {"aggregate", "claims", "figures"}
 LEARNED = {"train", "evaluate_ddpg", *(f"sweep_{axis}_ddpg" for axis in SWEPT_KEYS)}
 CLASSICAL = {"evaluate_classical", *(f"sweep_{axis}_classical" for axis in SWEPT_KEYS)}
-EVERY_RUN = {*LEARNED, *CLASSICAL, "gain_study"}
+GAIN_SWEEPS = {f"gain_sweep_{axis}" for axis in ("grid", "sampling_s", "noise")}
+EVERY_RUN = {*LEARNED, *CLASSICAL, "gain_study", *GAIN_SWEEPS}
 
 
 def snakemake(tree: Path, *words: str) -> str:
@@ -53,6 +54,7 @@ def outputs(scenario: Scenario) -> list[str]:
     return [
         paths.SCENARIO,
         paths.PROGRESS,
+        paths.STABILITY,
         *paths.all_gain_files(scenario),
         *paths.policy_files(scenario),
         *paths.all_logs(scenario),
@@ -143,20 +145,29 @@ def test_a_new_point_of_a_sweep_runs_that_sweep(tree: Path) -> None:
 def test_a_new_sampling_interval_designs_its_gains(tree: Path) -> None:
     with edited(tree, (SMOKE, "sampling_s: [0.02, 0.05]", "sampling_s: [0.02, 0.04]")):
         sweeps = {"sweep_sampling_s_classical", "sweep_sampling_s_ddpg"}
-        assert to_run(tree) == {"gains", *sweeps, *ALWAYS}
+        gains = {"gains", "gain_sweep_sampling_s", "stability"}
+        assert to_run(tree) == {*gains, *sweeps, *ALWAYS}
+
+
+def test_a_new_weight_of_the_gain_study_designs_its_gains(tree: Path) -> None:
+    with edited(tree, (SMOKE, "weight: [100.0]", "weight: [100.0, 300.0]")):
+        assert to_run(tree) == {"gains", "gain_sweep_grid", "stability", *ALWAYS}
 
 
 def test_the_regulator_runs_everything(tree: Path) -> None:
     with edited(tree, (SMOKE, "gain_study:", "control: {weight: 500.0}\ngain_study:")):
-        assert to_run(tree) == {"gains", *EVERY_RUN, *ALWAYS}
+        assert to_run(tree) == {"gains", "stability", *EVERY_RUN, *ALWAYS}
 
 
 @pytest.mark.parametrize(
     ("modules", "jobs"),
     [
         (["study/figures.py"], ALWAYS),
-        (["learning/ddpg.py", "runs/gain_study.py"], {*LEARNED, "gain_study", *ALWAYS}),
-        (["network/schedulers.py"], {"gains", "kernels", *EVERY_RUN, *ALWAYS}),
+        (
+            ["learning/ddpg.py", "runs/gain_study.py"],
+            {*LEARNED, "gain_study", *GAIN_SWEEPS, *ALWAYS},
+        ),
+        (["network/schedulers.py"], {"gains", "kernels", "stability", *EVERY_RUN, *ALWAYS}),
     ],
 )
 def test_code_runs_its_dependents(tree: Path, modules: list[str], jobs: set[str]) -> None:
