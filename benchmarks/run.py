@@ -13,6 +13,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
 import bench_gains  # noqa: E402
+import bench_learning  # noqa: E402
 import bench_log  # noqa: E402
 import bench_slots  # noqa: E402
 import numba  # noqa: E402
@@ -36,6 +37,8 @@ def main() -> None:
     log = bench_log.run()
     print()
     gains = bench_gains.run()
+    print()
+    learning = bench_learning.run()
     rows = [(name, f"{cpu:,.0f} slots/s", "") for name, (cpu, _) in slots.items()]
     goals = {
         "pf, batch of 64, 200 slots": "200,000 slots/s",
@@ -57,6 +60,11 @@ def main() -> None:
     rows.append(("gain table, design", f"{gains['design']:.2f} s", "15 s"))
     rows.append(("gain table, from the cache", f"{gains['from the cache'] * 1e3:.1f} ms", ""))
     rows.append(("gain table, switching report", f"{gains['switching']:.2f} s", "60 s"))
+    for name, (speed, minutes) in learning.items():
+        goal = bench_learning.GOALS.get(name.split(",")[0], "")
+        rows.append(
+            (f"learning, {name}", f"{speed:,.0f} slots/s", f"{goal}({minutes:.1f} min in all)")
+        )
     rows.append(("gain, look-up", f"{gains['look-up'] * 1e9:.0f} ns", "1000 ns"))
     print()
     print(tabulate(rows, headers=("on one core, CPU time", "measured", "goal (or compared)"),
