@@ -67,7 +67,8 @@ def user_features(
     """
     constants, state = simulator.constants, simulator.state
     num_urllc = constants.num_urllc
-    rate_mbps = state.prb_rate_mbps.mean(axis=2)
+    # Four times as fast as the method `mean` on so short an axis.
+    rate_mbps = np.einsum("euk->eu", state.prb_rate_mbps) / np.float32(constants.num_prb)
     packets_per_prb = rate_mbps * constants.service_packets_per_mbps
     need = state.backlog_packets / packets_per_prb
     deadline_s = constants.deadline_slots * constants.slot_s
