@@ -13,7 +13,7 @@ from hiersched.control import Certificate, GainSchedule
 from hiersched.log import TOPICS, LogDims, LogWriter
 from hiersched.runs import paths
 from hiersched.runs.gain_points import GAIN_SWEEPS, GainPoint, gain_points
-from hiersched.runs.variants import study_scenario, swept_policies
+from hiersched.runs.variants import cell_text, study_scenario, swept_policies
 from hiersched.scenario import Scenario, load_scenario
 from hiersched.simulator.gains import plant_of
 from hiersched.study.fifo import backlog_path, deadline_in_slots, late_packets
@@ -103,6 +103,12 @@ def tiny(project_root: Path) -> Scenario:
             reference=("zigzag", "arc"),
             load=(0.85, 1.0),
         ),
+        generalise=replace(
+            base.generalise,
+            seeds=(41, 42, 43),
+            cells=((2, 1, 4), (2, 1, 6)),
+            policies=("ddpg", "pf", "drift_plus_penalty"),
+        ),
         gain_study=replace(base.gain_study, seeds=(31, 32, 33)),
     )
 
@@ -169,6 +175,14 @@ def results(tmp_path_factory: pytest.TempPathFactory, tiny: Scenario) -> Path:
                     label = {"policy": policy, "seed": str(seed), "axis": axis, "value": text}
                     path = folder / "sweep" / axis / policy / f"{text}_seed{seed}.mcap"
                     _write_log(path, _run(tiny, policy, seed + _number_of(text)), metadata=label)
+    for cell in tiny.generalise.cells:
+        for policy in tiny.generalise.policies:
+            for seed in tiny.generalise.seeds:
+                label = {"policy": policy, "seed": str(seed), "axis": "cell"}
+                label["value"] = cell_text(cell)
+                path = folder / paths.cell_log(cell, policy, seed)
+                _write_log(path, _run(tiny, policy, seed + cell[2]), metadata=label)
+    _write_bound(folder, tiny)
     _write_gain_study(folder, tiny)
     for seed in tiny.learning.seeds:
         fields = _run(tiny, "ddpg", seed, slots=20)
@@ -176,6 +190,23 @@ def results(tmp_path_factory: pytest.TempPathFactory, tiny: Scenario) -> Path:
         label = {"policy": "ddpg", "seed": str(seed), "slots_per_episode": "5"}
         _write_log(folder / "train" / "ddpg" / f"seed{seed}.mcap", fields, metadata=label)
     return folder
+
+
+def _write_bound(folder: Path, scenario: Scenario) -> None:
+    """Two slots a world, optimum -100: gaps of 1 + seed - 12 (greedy), 50 (ddpg), 200 (pf)."""
+    gaps = {"ddpg": 50.0, "pf": 200.0, "drift_plus_penalty": 1.0}
+    names = "policy seed slot decider value exact bound first_lagrangian_exact "
+    names += "first_lagrangian_greedy first_log_rate_exact first_log_rate_greedy"
+    lines = [",".join(names.split())]
+    for policy in scenario.evaluate.policies:
+        asked = gaps if policy == "drift_plus_penalty" else (policy, "drift_plus_penalty")
+        for seed in scenario.evaluate.seeds:
+            for decider in asked:
+                value = -100.0 + gaps[decider] + (seed - 12) * (decider == "drift_plus_penalty")
+                row = f"{decider},{value},-100.0,-100.001,10.0,12.0,-5.0,-4.5"
+                lines += [f"{policy},{seed},{slot},{row}" for slot in (3, 8)]
+    (folder / paths.BOUND).parent.mkdir()
+    (folder / paths.BOUND).write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def _number_of(text: str) -> int:

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +11,21 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hiersched.scenario import Scenario
-from hiersched.study.collect import evaluation_frame, gain_frame, sweep_frame, training_frame
+from hiersched.study.collect import (
+    cell_frame,
+    evaluation_frame,
+    gain_frame,
+    sweep_frame,
+    training_frame,
+)
 from hiersched.study.figures import build_figures, draw_figures
-from hiersched.study.figures_delay import draw_load, draw_violations
+from hiersched.study.figures_delay import draw_violations
 from hiersched.study.figures_gain import draw_gain
 from hiersched.study.figures_rates import draw_dexterity, draw_rayleigh
+from hiersched.study.figures_standing import draw_load, pareto_front
 from hiersched.study.figures_training import training_curve
 from hiersched.study.samples import delay_tails
+from hiersched.study.standing import bound_frame, bound_table, generalisation_table
 from hiersched.study.style import (
     draw_series,
     house_style,
@@ -30,7 +37,8 @@ from hiersched.study.summary import gain_table, policy_table, sweep_table
 
 NAMES = (
     "fig2_rewards fig3_queues fig4_rate_cdf fig5_rayleigh fig6_sampling fig7_dexterity "
-    "fig8_violations figX_load figX_gain figX_gain_grid figX_gain_sweeps figX_gain_traces "
+    "fig8_violations figX_load figX_delay figX_pareto figX_bound figX_generalise figX_gain "
+    "figX_gain_grid figX_gain_sweeps figX_gain_traces "
     "figX_gain_stability"
 ).split()
 
@@ -87,7 +95,7 @@ def test_every_panel_has_title_units_and_data(figures: dict[str, Figure]) -> Non
             assert axes.has_data(), name
             assert axes.get_title(loc="left"), name
             assert axes.get_xlabel(), name
-    for name in set(NAMES) - {"fig4_rate_cdf", "fig8_violations"}:
+    for name in set(NAMES) - {"fig4_rate_cdf", "fig8_violations", "figX_delay", "figX_bound"}:
         panels = [axes for axes in figures[name].axes if axes.get_label() != "<colorbar>"]
         assert all("[" in axes.get_ylabel() for axes in panels), name
 
@@ -207,24 +215,61 @@ def test_captions_speak_of_open_marks_only_where_there_are_some(
         assert "dotted line" in small_print(figure)
 
 
-def test_load_figure_has_every_policy_of_the_sweeps(tiny: Scenario, sweeps: pd.DataFrame) -> None:
-    edf = sweeps[sweeps["policy"] == "pf"].assign(policy="edf")
-    scenario = replace(tiny, sweeps=replace(tiny.sweeps, policies=("ddpg", "pf", "edf")))
-    with house_style():
-        figure = draw_load(pd.concat([sweeps, edf], ignore_index=True), scenario)
-    for axes in figure.axes:
-        assert list(bars(axes)) == ["DRL (DDPG)", "PF", "EDF"]
-
-
-def test_tails_include_edf_where_it_is_evaluated(
-    results: Path, tiny: Scenario, tmp_path: Path
+def test_load_figure_has_every_policy_of_the_table(
+    figures: dict[str, Figure], sweeps: pd.DataFrame
 ) -> None:
-    assert set(delay_tails(results, tiny)["policy"]) == {"ddpg", "pf"}
-    (tmp_path / "eval").mkdir()
-    for policy, source in (("ddpg", "ddpg"), ("pf", "pf"), ("edf", "pf")):
-        (tmp_path / "eval" / policy).symlink_to(results / "eval" / source)
-    scenario = replace(tiny, evaluate=replace(tiny.evaluate, policies=("ddpg", "edf", "pf")))
-    assert set(delay_tails(tmp_path, scenario)["policy"]) == {"ddpg", "pf", "edf"}
+    rows = sweeps[(sweeps["axis"] == "load") & (sweeps["policy"] == "drift_plus_penalty")]
+    axes = figures["figX_load"].axes
+    for panel in axes:
+        assert list(bars(panel)) == ["DRL (DDPG)", "PF", "drift-plus-penalty"]
+    assert_drawn(axes[2], "drift-plus-penalty", rows, "drift_plus_penalty_cost")
+    assert_drawn(axes[3], "drift-plus-penalty", rows, "embb_rate_mbps")
+
+
+def test_tails_are_of_every_policy_and_end_at_one_in_ten_thousand(
+    figures: dict[str, Figure], results: Path, tiny: Scenario
+) -> None:
+    tails = delay_tails(results, tiny)
+    assert list(dict.fromkeys(tails["policy"])) == list(tiny.evaluate.policies)
+    left, right = figures["figX_delay"].axes
+    assert right.get_ylim()[0] == 1e-4
+    (line,) = [line for line in right.get_lines() if line.get_label() == "PF"]
+    own = tails[tails["policy"] == "pf"]
+    assert line.get_ydata()[:20] == pytest.approx(own["share"].to_numpy()[:20])
+    assert len(left.collections) == 2  # bands of those that the sweeps compare
+
+
+def test_pareto_front_is_what_no_other_beats(
+    figures: dict[str, Figure], results: Path, tiny: Scenario
+) -> None:
+    frame = pd.DataFrame({"less": [3, 1, 2, 2, 4], "more": [5, 1, 4, 3, 5], "name": list("abcde")})
+    assert list(pareto_front(frame, "less", "more")["name"]) == ["b", "c", "a"]
+    table = policy_table(evaluation_frame(results, tiny), tiny).set_index("policy")
+    (points, _) = bars(figures["figX_pareto"].axes[1])["PF"]
+    assert points[:, 0] == pytest.approx(table.loc["pf", ["tracking_error_cm", "embb_rate_mbps"]])
+
+
+def test_bound_figure_shows_the_table(figures: dict[str, Figure], results: Path) -> None:
+    table = bound_table(bound_frame(results))
+    own = table[table["states_of"] == table["decider"]].set_index("decider")
+    left, right = figures["figX_bound"].axes
+    names = [text.get_text() for text in left.get_yticklabels()]
+    assert names == ["PF", "DRL (DDPG)", "drift-plus-penalty"]
+    means = {c.lines[0].get_ydata()[0]: c.lines[0].get_xdata()[0] for c in left.containers}
+    assert means[0] == pytest.approx(own.loc["pf", "gap"]) == 200.0
+    assert means[1] == pytest.approx(50.0)
+    assert len(right.containers) == 3
+
+
+def test_cells_figure_shows_the_table(
+    figures: dict[str, Figure], results: Path, tiny: Scenario
+) -> None:
+    table = generalisation_table(cell_frame(results, tiny))
+    axes = figures["figX_generalise"].axes[1]
+    rows = table[table["policy"] == "ddpg"]
+    assert_drawn(axes, "DRL (DDPG)", rows, "drift_plus_penalty_cost")
+    labels = [text.get_text() for text in axes.get_xticklabels()]
+    assert labels == ["2 + 1\n4 PRBs", "2 + 1\n6 PRBs"]
 
 
 @pytest.mark.parametrize(

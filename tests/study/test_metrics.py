@@ -170,10 +170,13 @@ def test_the_recomputed_counts_are_the_simulators(
     )
     traffic = replace(scenario.traffic, load=1.05, deadline_s=0.017)
     scenario = replace(scenario, traffic=traffic)
-    gains = np.zeros((scenario.max_delay_steps + 1, 2, 5))
+    steps = scenario.max_delay_steps
+    gains, on_inputs = np.zeros((steps + 1, 2, 5)), np.zeros((steps + 1, steps, 2, 2))
     simulator = Simulator(
         scenario,
-        SimpleNamespace(local_gains=gains, network_gains=gains),
+        SimpleNamespace(
+            local_gains=gains, network_gains=gains, input_gains=on_inputs, adjusted=gains[:, 0, 0]
+        ),
         world_keys("evaluate", 3, 2),
         500,
     )

@@ -12,6 +12,7 @@ from scipy import stats
 from hiersched.log import LogReader
 from hiersched.scenario import Scenario
 from hiersched.study.metrics import run_metrics
+from hiersched.study.standing import COST, best_classical, score_table
 from hiersched.study.statistics import bootstrap_interval, interquartile_mean
 from hiersched.study.summary import measures, policy_table
 from hiersched.study.tables import interval_text, markdown_text, parameter_table, write_tables
@@ -120,7 +121,7 @@ def test_rate_table_reads_the_fifth_tenth_and_fifteenth_slot(
 def test_comparison_is_paired_with_pf(
     tables: dict[str, pd.DataFrame], results: Path, tiny: Scenario
 ) -> None:
-    table = tables["comparison"].set_index(["policy", "measure"])
+    table = tables["comparison"].query("baseline == 'pf'").set_index(["policy", "measure"])
     assert set(table.index.get_level_values(0)) == {"ddpg", "drift_plus_penalty"}
     own, baseline = (
         np.array(
@@ -219,3 +220,69 @@ def test_markdown_merges_bounds_into_one_cell() -> None:
         *["# T", "", "N", "", "| policy | x |", "|---|---:|"],
         "| a\\|b | 1.00 [0.50, 1.50] |",
     ]
+
+
+def test_policies_say_how_they_stand_against_the_best_classical(
+    tables: dict[str, pd.DataFrame], results: Path, tiny: Scenario
+) -> None:
+    runs = tables["runs"]
+    runs = runs[runs["axis"].isna()]
+    cost = {p: g["drift_plus_penalty_cost"].to_numpy() for p, g in runs.groupby("policy")}
+    table = tables["policies"].set_index("policy")
+    (best,) = set(table["best_classical"])
+    assert best != "ddpg"
+    assert cost[best].mean() <= cost["pf"].mean() * (1.0 + 1e-12)
+    below = cost["ddpg"][:, None] < cost[best][None, :]
+    assert table.loc["ddpg", "improvement"] == pytest.approx(below.mean())
+    assert table.loc[best, "improvement"] == 0.5
+    assert table.loc["ddpg", "cost_iqm"] == pytest.approx(interquartile_mean(cost["ddpg"]))
+    against = tables["comparison"].query("baseline == @best and policy == 'ddpg'")
+    assert len(against) == len(tables["comparison"].query("baseline == 'pf' and policy == 'ddpg'"))
+
+
+def test_the_exact_optimum_is_no_scheduler_to_beat() -> None:
+    rows = {"policy": ["exact", "pf", "ddpg"], "drift_plus_penalty_cost": [1.0, 3.0, 2.0]}
+    assert best_classical(pd.DataFrame(rows)) == "pf"
+    assert best_classical(pd.DataFrame({k: v[2:] for k, v in rows.items()})) is None
+
+
+def test_scores_are_0_for_pf_and_1_for_the_best() -> None:
+    rows = [
+        {"axis": "load", "value": value, "policy": policy, "seed": seed, COST: cost * (1 + value)}
+        for value in (0.9, 1.0)
+        for policy, cost in (("pf", 10.0), ("edf", 4.0), ("ddpg", 1.0))
+        for seed in (1, 2, 3)
+    ]
+    table = score_table(pd.DataFrame(rows), pd.DataFrame(rows)).set_index("policy")
+    assert table["score_iqm"].to_dict() == pytest.approx({"pf": 0.0, "edf": 1.0, "ddpg": 1.5})
+    assert table["cheaper_worlds"].to_dict() == {"pf": 0.0, "edf": 0.0, "ddpg": 1.0}
+    assert (table["loads"] == 2).all()
+
+
+def test_generalisation_is_paired_with_the_best_scheduler_there(
+    tables: dict[str, pd.DataFrame],
+) -> None:
+    table = tables["generalisation"]
+    assert list(dict.fromkeys(table["axis"])) == ["cell", "load", "rayleigh_scale"]
+    assert set(table[table["axis"] == "cell"]["value"]) == {"u2_e1_k4", "u2_e1_k6"}
+    own = table[table["policy"] == table["best_classical"]]
+    assert (own["cost_over_best"] == 0.0).all()
+    rows = tables["runs"].query("axis == 'cell' and value == 'u2_e1_k6'")
+    cost = rows.pivot(index="seed", columns="policy", values="drift_plus_penalty_cost")
+    row = table.query("value == 'u2_e1_k6' and policy == 'ddpg'").iloc[0]
+    low, high = stats.ttest_rel(cost["ddpg"], cost[row["best_classical"]]).confidence_interval(0.95)
+    assert [row["cost_over_best_lo"], row["cost_over_best_hi"]] == pytest.approx([low, high])
+
+
+def test_bound_table_has_the_planted_gaps(tables: dict[str, pd.DataFrame]) -> None:
+    table = tables["bound"].set_index(["states_of", "decider"])
+    greedy = table.loc[("drift_plus_penalty", "drift_plus_penalty")]
+    assert greedy["gap"] == pytest.approx(1.0)
+    low, high = stats.ttest_1samp([0.0, 1.0, 2.0], 0.0).confidence_interval(0.95)
+    assert [greedy["gap_lo"], greedy["gap_hi"]] == pytest.approx([low, high])
+    assert greedy["share_optimal"] == pytest.approx(1 / 3)
+    assert greedy["uncertified"] == pytest.approx(0.001)
+    assert greedy["first_gap"] == pytest.approx(2.0)
+    assert greedy["first_log_rate_gap"] == pytest.approx(0.5)
+    assert table.loc[("pf", "pf"), "gap_share"] == pytest.approx(2.0)
+    assert len(table) == 2 + 2 + 3

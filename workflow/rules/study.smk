@@ -4,6 +4,7 @@
 rule aggregate:
     input:
         logs=lambda w: inside(BY_NAME[w.scenario], paths.all_logs(BY_NAME[w.scenario])),
+        bound=f"results/{{scenario}}/{paths.BOUND}",
         stability=f"results/{{scenario}}/{paths.STABILITY}",
     output:
         csv=[
@@ -40,6 +41,7 @@ rule aggregate:
 rule figures:
     input:
         logs=lambda w: inside(BY_NAME[w.scenario], paths.all_logs(BY_NAME[w.scenario])),
+        bound=f"results/{{scenario}}/{paths.BOUND}",
         stability=f"results/{{scenario}}/{paths.STABILITY}",
     output:
         svg=[

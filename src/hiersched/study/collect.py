@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hiersched.control import GainSchedule
 from hiersched.log import LogError, LogReader
 from hiersched.runs import paths
-from hiersched.runs.variants import STUDY_PLANTS, baseline_method, swept_policies
+from hiersched.runs.variants import STUDY_PLANTS, baseline_method, cell_scenario, swept_policies
 from hiersched.scenario import Scenario
 from hiersched.scenario.schema import GainMethod
 from hiersched.study.fifo import FloatArray
@@ -67,6 +67,18 @@ def sweep_frame(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
                         )
                     row = _row(run_metrics(path, scenario), scenario)
                     rows.append({**row, "axis": axis, "value": value})
+    return pd.DataFrame(rows)
+
+
+def cell_frame(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
+    """Measure every run in a cell of another size: axis ``cell``, one row a policy and seed."""
+    rows = []
+    for cell in scenario.generalise.cells:
+        variant = cell_scenario(scenario, cell)
+        for policy in scenario.generalise.policies:
+            for seed in scenario.generalise.seeds:
+                path = _existing(results_dir / paths.cell_log(cell, policy, seed))
+                rows.append(_row(run_metrics(path, variant), variant))
     return pd.DataFrame(rows)
 
 

@@ -88,7 +88,7 @@ def evaluated(
     own = learned[0] if learned else scenario.learning.algorithm
     base = condition("", "", own, frames.runs)
     others = [condition("policy", p, p, frames.runs) for p in learned[1:]]
-    for axis, key in SWEPT_KEYS.items():
+    for axis, key in {**SWEPT_KEYS, "cell": "users and PRBs"}.items():
         along = frames.sweeps[frames.sweeps["axis"] == axis]
         for value, rows in along.groupby("value", sort=False):
             others.append(condition(key, str(value), own, rows))

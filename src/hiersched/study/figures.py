@@ -9,8 +9,14 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from hiersched.scenario import Scenario
-from hiersched.study.collect import evaluation_frame, gain_frame, sweep_frame, training_frame
-from hiersched.study.figures_delay import draw_load, draw_violations
+from hiersched.study.collect import (
+    cell_frame,
+    evaluation_frame,
+    gain_frame,
+    sweep_frame,
+    training_frame,
+)
+from hiersched.study.figures_delay import draw_violations
 from hiersched.study.figures_gain import draw_gain
 from hiersched.study.figures_gain_grid import draw_gain_grid
 from hiersched.study.figures_gain_sweeps import (
@@ -24,10 +30,18 @@ from hiersched.study.figures_rates import (
     draw_rayleigh,
     draw_sampling,
 )
+from hiersched.study.figures_standing import (
+    draw_bound,
+    draw_delay,
+    draw_generalise,
+    draw_load,
+    draw_pareto,
+)
 from hiersched.study.figures_training import draw_queues, draw_rewards
 from hiersched.study.gain_logs import stability_frame, trace_frame
 from hiersched.study.gain_summary import grid_table, sweeps_table
 from hiersched.study.samples import delay_tails, rate_distributions, reference_backlog
+from hiersched.study.standing import bound_frame, bound_table, generalisation_table
 from hiersched.study.style import house_style, save_figure
 from hiersched.study.summary import gain_table, policy_table, sweep_table
 
@@ -73,6 +87,8 @@ def build_figures(results: Path, scenario: Scenario) -> Mapping[str, Callable[[]
     gains = gain_table(gain_frame(results, scenario))
     grid, gain_sweeps = grid_table(results, scenario), sweeps_table(results, scenario)
     traces, regions = trace_frame(results, scenario), stability_frame(results)
+    bound = bound_table(bound_frame(results))
+    elsewhere = generalisation_table(cell_frame(results, scenario))
     reference = reference_backlog(results, scenario)
     rates, tails = rate_distributions(results, scenario), delay_tails(results, scenario)
     return {
@@ -84,6 +100,10 @@ def build_figures(results: Path, scenario: Scenario) -> Mapping[str, Callable[[]
         "fig7_dexterity": lambda: draw_dexterity(sweeps, scenario),
         "fig8_violations": lambda: draw_violations(policies, runs, tails, scenario),
         "figX_load": lambda: draw_load(sweeps, scenario),
+        "figX_delay": lambda: draw_delay(tails, scenario),
+        "figX_pareto": lambda: draw_pareto(policies, scenario),
+        "figX_bound": lambda: draw_bound(bound, scenario),
+        "figX_generalise": lambda: draw_generalise(elsewhere, scenario),
         "figX_gain": lambda: draw_gain(gains, scenario),
         "figX_gain_grid": lambda: draw_gain_grid(grid, scenario),
         "figX_gain_sweeps": lambda: draw_gain_sweeps(gain_sweeps, scenario),

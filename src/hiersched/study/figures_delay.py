@@ -1,4 +1,4 @@
-"""Figure 8 and the load sweep: late packets, delays, tracking."""
+"""Figure 8: late packets and delays."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from hiersched.study.style import (
     GREY,
     PANEL_HEIGHT_IN,
     caption,
-    draw_series,
     log_axis_with_zero,
     new_figure,
     note_at,
@@ -22,9 +21,6 @@ from hiersched.study.style import (
     shared_legend,
     zero_floor,
 )
-
-DODGE = 0.012
-"""Distance between the policies' points at one load, as a share of the axis."""
 
 
 def draw_violations(
@@ -43,58 +39,6 @@ def draw_violations(
         f"which has no place on a logarithmic axis.{_open_marks(policies)} "
         f"Corner in (b): 1 − χ = {_percent(1.0 - traffic.reliability)} at the deadline of "
         f"{1e3 * traffic.deadline_s:g} ms.",
-    )
-    return figure
-
-
-def draw_load(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
-    """Draw late share and tracking error against the load, all policies of the sweeps."""
-    table = sweeps[sweeps["axis"] == "load"]
-    figure, axes = new_figure()
-    loads = [float(load) for load in scenario.sweeps.load]
-    shift = DODGE * (max(loads) - min(loads))
-    late = "urllc_late_share"
-    floor = zero_floor(table[late])
-    for number, policy in enumerate(scenario.sweeps.policies):
-        own = table[table["policy"] == policy]
-        place = number - 0.5 * (len(scenario.sweeps.policies) - 1)
-        load = own["value"].astype(float).to_numpy() + place * shift
-        look = policy_look(policy, scenario.learning.algorithm)
-        bounds = own[f"{late}_lo"], own[f"{late}_hi"]
-        draw_series(axes[0], load, own[late], *bounds, look, floor=floor)
-        error = "tracking_error_cm"
-        draw_series(axes[1], load, own[error], own[f"{error}_lo"], own[f"{error}_hi"], look)
-    allowed = 1.0 - scenario.traffic.reliability
-    drawn = table[[late, f"{late}_hi"]].to_numpy(dtype=np.float64)
-    log_axis_with_zero(axes[0], floor, [*drawn.ravel(), allowed])
-    axes[0].axhline(allowed, color=GREY, linewidth=0.9)
-    note_at(
-        axes[0],
-        f"1 − χ = {_percent(allowed)}",
-        0.99,
-        allowed,
-        xycoords=axes[0].get_yaxis_transform(),
-        xytext=(0, -3),
-        textcoords="offset points",
-        ha="right",
-        va="top",
-    )
-    deadline = f"{1e3 * scenario.traffic.deadline_s:g} ms"
-    axes[0].set_title(f"(a) URLLC packets later than {deadline}")
-    axes[0].set_ylabel("late share of due packets [1]")
-    window = f"{scenario.robot.window_s:g} s"
-    axes[1].set_title(f"(b) robots: RMS position error over {window}")
-    axes[1].set_ylabel("tracking error [cm]")
-    for panel in axes:
-        panel.set_xlabel("offered load, relative to the nominal loads [1]")
-        panel.set_xticks(loads)
-    shared_legend(figure, axes[0])
-    caption(
-        figure,
-        f"Mean and Student t 95 % interval over {len(scenario.sweeps.seeds)} seeds; bars in (a) "
-        "end at 0 where they include it. Below the dotted line in (a): 0, which has no place on a "
-        f"logarithmic axis.{_open_marks(table)} The axis of (b) does not start at 0. Points at one "
-        "load are set apart.",
     )
     return figure
 

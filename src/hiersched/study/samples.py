@@ -93,7 +93,7 @@ def delay_tails(results: Path, scenario: Scenario) -> pd.DataFrame:
     """
     grid = np.linspace(0.0, DEADLINES_SHOWN * scenario.traffic.deadline_s, DELAY_POINTS)
     frames = []
-    for policy in tail_policies(scenario):
+    for policy in scenario.evaluate.policies:
         shares = []
         for seed in scenario.evaluate.seeds:
             sojourns = read_sojourns(evaluation_log(results, policy, seed), scenario)

@@ -16,6 +16,7 @@ from hiersched.scenario import Scenario
 from hiersched.simulator.gains import plant_of
 from hiersched.study.collect import BASELINE, read_evaluation, violation_column
 from hiersched.study.paper import TABLE2, TABLE3
+from hiersched.study.standing import best_classical, standing
 from hiersched.study.statistics import (
     Interval,
     bootstrap_interval,
@@ -97,7 +98,8 @@ def policy_table(runs: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
     """Return one row a policy: all measures over the evaluation's worlds.
 
     The late share of URLLC packets, skewed and often close to 0, also has its interquartile mean
-    and the bounds of a bootstrap interval of its mean, which stay within the values' range.
+    and the bounds of a bootstrap interval of its mean, which stay within the values' range. How the
+    policy stands against the best classical scheduler comes from `standing.standing`.
     """
     table = summarise(runs, ["policy"], measures(scenario))
     late = "urllc_late_share"
@@ -106,7 +108,7 @@ def policy_table(runs: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
     table[f"{late}_iqm"] = [interquartile_mean(sample) for sample in samples]
     table[f"{late}_boot_lo"] = [interval.lo for interval in boot]
     table[f"{late}_boot_hi"] = [interval.hi for interval in boot]
-    return table
+    return table.merge(standing(runs), on="policy")
 
 
 def sweep_table(runs: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
@@ -115,37 +117,45 @@ def sweep_table(runs: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
 
 
 def comparison_table(runs: pd.DataFrame) -> pd.DataFrame:
-    """Compare every policy with PF in the same worlds: ratio of means, mean difference.
+    """Compare every policy with PF, then with the best classical scheduler, in the same worlds.
 
-    Intervals are Fieller's for the ratio and Student's for the difference.
+    Ratios of means and mean differences; intervals are Fieller's for the ratio and Student's for
+    the difference.
     """
-    rows: list[dict[str, Any]] = []
     policies = list(dict.fromkeys(runs["policy"]))
-    for policy in policies:
-        for name in COMPARED:
-            if policy == BASELINE or BASELINE not in policies:
-                continue
-            own, baseline = (
-                runs[runs["policy"] == p].set_index("seed")[name] for p in (policy, BASELINE)
-            )
-            if list(own.index) != list(baseline.index):
-                raise ValueError(f"{policy} and {BASELINE} did not run in the same worlds")
-            a, b = own.to_numpy(np.float64), baseline.to_numpy(np.float64)
-            rows.append(
-                {
-                    "policy": policy,
-                    "baseline": BASELINE,
-                    "measure": name,
-                    "seeds": len(a),
-                    "mean": float(a.mean()),
-                    "baseline_mean": float(b.mean()),
-                    **_columns("ratio", paired_ratio(a, b)),
-                    **_columns("difference", paired_difference(a, b)),
-                    "seeds_below_baseline": int((a < b).sum()),
-                }
-            )
+    baselines = [name for name in (BASELINE, best_classical(runs)) if name in policies]
+    rows = [
+        row
+        for baseline in dict.fromkeys(baselines)
+        for policy in policies
+        if policy != baseline
+        for row in _compared(runs, str(policy), str(baseline))
+    ]
     columns = ["policy", "baseline", "measure"]
     return pd.DataFrame(rows) if rows else pd.DataFrame(columns=columns)
+
+
+def _compared(runs: pd.DataFrame, policy: str, baseline: str) -> list[dict[str, Any]]:
+    rows: list[dict[str, Any]] = []
+    own, other = (runs[runs["policy"] == name].set_index("seed") for name in (policy, baseline))
+    if list(own.index) != list(other.index):
+        raise ValueError(f"{policy} and {baseline} did not run in the same worlds")
+    for name in COMPARED:
+        a, b = own[name].to_numpy(np.float64), other[name].to_numpy(np.float64)
+        rows.append(
+            {
+                "policy": policy,
+                "baseline": baseline,
+                "measure": name,
+                "seeds": len(a),
+                "mean": float(a.mean()),
+                "baseline_mean": float(b.mean()),
+                **_columns("ratio", paired_ratio(a, b)),
+                **_columns("difference", paired_difference(a, b)),
+                "seeds_below_baseline": int((a < b).sum()),
+            }
+        )
+    return rows
 
 
 def gain_table(gains: pd.DataFrame) -> pd.DataFrame:

@@ -13,6 +13,7 @@ import pandas as pd
 from hiersched.scenario import Scenario, load_scenario, parameter_notes, scenario_to_dict
 from hiersched.scenario.load import CONFIG
 from hiersched.study.collect import (
+    cell_frame,
     evaluation_frame,
     gain_frame,
     gain_schedules,
@@ -26,6 +27,12 @@ from hiersched.study.gain_summary import (
     sweeps_table,
 )
 from hiersched.study.paper import SYMBOLS
+from hiersched.study.standing import (
+    bound_frame,
+    bound_table,
+    generalisation_table,
+    score_table,
+)
 from hiersched.study.summary import (
     comparison_table,
     gain_table,
@@ -73,9 +80,9 @@ TITLES = {
         f"does not, and more columns. {_LEARNED}",
     ),
     "comparison": (
-        "Policies against PF in the same worlds",
+        "Policies against PF, and against the best classical scheduler, in the same worlds",
         f"{_FIELLER} Differences with Student t 95 % intervals. A ratio's interval is unbounded "
-        f"where PF's own mean does not differ significantly from 0. {_LEARNED}",
+        f"where the baseline's own mean does not differ significantly from 0. {_LEARNED}",
     ),
     "sweeps": (
         "Sweeps: one axis varied at a time",
@@ -106,6 +113,25 @@ TITLES = {
         "for the nominal gain; `adjusted`, exact, for the gain made for the longest delay of the "
         "grid. `at_least`: no longer delay was tried; a dash: not even without delay.",
     ),
+    "scores": (
+        "Policies over all loads",
+        "Score: (cost of PF − own cost) / (cost of PF − cost of the best classical scheduler of "
+        "the load); 0 is PF, 1 the best. Interquartile mean over worlds and loads, stratified "
+        "bootstrap 95 % interval with the loads as strata. `cheaper_worlds`: share of worlds in "
+        "which the policy costs less than the best classical scheduler of the load.",
+    ),
+    "generalisation": (
+        "Trained policies where they were not trained",
+        f"{_SEEDS} Cells: URLLC users, eMBB users, PRBs. `cost_over_best`: cost a slot above that "
+        "of the best classical scheduler there, world by world. Sweeps: other loads and scales.",
+    ),
+    "bound": (
+        "Distance from the exact optimum of a slot",
+        "`gap`: drift-plus-penalty Lagrangian of the decision minus that of the exact optimum in "
+        "the same state, mean and Student t 95 % interval over worlds. `uncertified`: what the "
+        "solver's bound leaves open. `first_gap`: cost of giving everyone the first PRB greedily "
+        "minus exactly; `first_log_rate_gap`: the same for minus the logarithm of the rates.",
+    ),
     "gains": (
         "Gain schedule",
         "Deviation is the Frobenius norm of adjusted minus nominal gain; spectral radii are the "
@@ -126,7 +152,11 @@ _READ_MEASURES = (
 )
 _READ_INTERVALS = [f"{name}{end}" for name in _READ_MEASURES for end in ("", "_lo", "_hi")]
 READ_COLUMNS = {
-    "policies": ["policy", "seeds", *_READ_INTERVALS],
+    "policies": [
+        *["policy", "seeds", *_READ_INTERVALS],
+        *[f"{name}{end}" for name in ("cost_iqm", "improvement") for end in ("", "_lo", "_hi")],
+        "best_classical",
+    ],
     "sweeps": ["axis", "value", "policy", *_READ_INTERVALS],
 }
 """Columns of the Markdown of wide tables; the CSV has all."""
@@ -162,6 +192,8 @@ def write_tables(
     folder = results / "tables"
     folder.mkdir(parents=True, exist_ok=True)
     evaluation, sweeps = evaluation_frame(results, scenario), sweep_frame(results, scenario)
+    cells = cell_frame(results, scenario)
+    elsewhere = pd.concat([cells, sweeps], ignore_index=True)
     gains = gain_table(gain_frame(results, scenario))
     first = gains["method"] == gains["method"].iloc[0]
     tables = {
@@ -172,12 +204,15 @@ def write_tables(
         "policies": policy_table(evaluation, scenario),
         "comparison": comparison_table(evaluation),
         "sweeps": sweep_table(sweeps, scenario),
+        "scores": score_table(evaluation, sweeps),
+        "generalisation": generalisation_table(elsewhere),
+        "bound": bound_table(bound_frame(results)),
         "gains": schedule_table(gain_schedules(results, scenario), scenario),
         "gain_methods": methods_table(results, scenario),
         "gain_grid": grid_table(results, scenario),
         "gain_sweeps": sweeps_table(results, scenario),
         "gain_stability": stability_table(results),
-        "runs": pd.concat([evaluation, sweeps], ignore_index=True),
+        "runs": pd.concat([evaluation, elsewhere], ignore_index=True),
     }
     written = []
     for name, table in tables.items():

@@ -1,0 +1,209 @@
+"""How far policies are from the best classical scheduler, and from the exact optimum."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from hiersched.runs import paths
+from hiersched.runs.variants import CLASSICAL_GROUP, group_policies
+from hiersched.study.collect import BASELINE
+from hiersched.study.statistics import (
+    Interval,
+    interquartile_interval,
+    mean_interval,
+    paired_difference,
+    probability_of_improvement,
+)
+
+COST = "drift_plus_penalty_cost"
+"""What the network pays a slot: the measure by which policies are ranked."""
+
+CELL_AXES = ("cell", "load", "rayleigh_scale")
+"""What a policy meets that it was not trained on."""
+
+CELL_MEASURES = (
+    "urllc_late_share",
+    "urllc_rate_mbps",
+    "embb_rate_mbps",
+    "tracking_error_cm",
+    COST,
+)
+
+
+def best_classical(runs: pd.DataFrame) -> str | None:
+    """Return the classical scheduler of least mean cost; the exact optimum is none of them.
+
+    It is picked by the very runs with which it is compared, so a comparison with it is never too
+    kind to others. None where no classical scheduler was run.
+    """
+    names = group_policies(tuple(dict.fromkeys(runs["policy"])), CLASSICAL_GROUP)
+    means = runs[runs["policy"].isin([n for n in names if n != "exact"])].groupby("policy")[COST]
+    return str(means.mean().idxmin()) if means.ngroups else None
+
+
+def standing(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return by policy the robust cost, and the probability to cost less than the best classical.
+
+    Returns
+    -------
+    DataFrame
+        Columns policy, cost_iqm (bounds _lo, _hi: stratified bootstrap), best_classical, and
+        improvement (bounds likewise): the probability that the policy costs less in a world than
+        the best classical scheduler in another.
+    """
+    best = best_classical(runs)
+    rows = []
+    for policy, group in runs.groupby("policy", sort=False):
+        cost = group[COST].to_numpy(np.float64)
+        row: dict[str, Any] = {"policy": policy}
+        row |= _columns("cost_iqm", interquartile_interval([cost]))
+        if best is not None:
+            other = runs.loc[runs["policy"] == best, COST].to_numpy(np.float64)
+            row["best_classical"] = best
+            row |= _columns("improvement", probability_of_improvement(cost, other))
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def score_table(runs: pd.DataFrame, sweeps: pd.DataFrame) -> pd.DataFrame:
+    """Return how policies stand over all loads together.
+
+    The score of a policy in a world is (cost of PF - its own) / (cost of PF - that of the best
+    classical scheduler at this load): 0 as PF, 1 as the best, more where it costs less. Strata of
+    the bootstrap are the loads.
+
+    Parameters
+    ----------
+    runs
+        From `collect.evaluation_frame`: only its policies are shown.
+    sweeps
+        From `collect.sweep_frame`.
+
+    Returns
+    -------
+    DataFrame
+        Columns policy, loads, seeds, score_iqm (_lo, _hi), cheaper_worlds: the share of worlds in
+        which it costs less than the best classical scheduler of the load.
+    """
+    along = sweeps[sweeps["axis"] == "load"]
+    if BASELINE not in set(along["policy"]):
+        return pd.DataFrame(columns=["policy", "loads", "seeds"])
+    rows = []
+    for policy in dict.fromkeys(runs["policy"]):
+        strata, cheaper = [], []
+        for _, group in along.groupby("value", sort=False):
+            cost = group.pivot(index="seed", columns="policy", values=COST)
+            best, baseline = best_classical(group), cost[BASELINE]
+            if policy not in cost or best is None:
+                continue
+            gain = (baseline - cost[best]).mean()
+            strata.append(((baseline - cost[policy]) / gain).to_numpy(np.float64))
+            cheaper.append((cost[policy] < cost[best]).to_numpy())
+        if strata:
+            score = interquartile_interval(strata)
+            row = {"policy": policy, "loads": len(strata), "seeds": len(strata[0])}
+            share = float(np.concatenate(cheaper).mean())
+            rows.append({**row, **_columns("score_iqm", score), "cheaper_worlds": share})
+    return pd.DataFrame(rows)
+
+
+def generalisation_table(runs: pd.DataFrame) -> pd.DataFrame:
+    """Return how policies do where they were not trained, beside the best scheduler there.
+
+    Parameters
+    ----------
+    runs
+        Sweeps and cells of other sizes, one row a run.
+
+    Returns
+    -------
+    DataFrame
+        One row an axis (cell, load, rayleigh_scale), value and policy: seeds, measures with their
+        intervals, best_classical, and cost_over_best: the paired difference of the costs.
+    """
+    rows = []
+    for axis in CELL_AXES:
+        for value, group in runs[runs["axis"] == axis].groupby("value", sort=False):
+            best = best_classical(group)
+            for policy, own in group.groupby("policy", sort=False):
+                row: dict[str, Any] = {"axis": axis, "value": value, "policy": policy}
+                row["seeds"] = len(own)
+                for name in CELL_MEASURES:
+                    row |= _columns(name, mean_interval(own[name].to_numpy(np.float64)))
+                if best is not None:
+                    cost = group.pivot(index="seed", columns="policy", values=COST)
+                    row["best_classical"] = best
+                    over = paired_difference(cost[policy], cost[best])
+                    row |= _columns("cost_over_best", over)
+                rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def bound_frame(results: Path) -> pd.DataFrame:
+    """Read the decisions in sampled slots and their exact optima.
+
+    Raises
+    ------
+    FileNotFoundError
+        If they have not been computed.
+    """
+    path = results / paths.BOUND
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file")
+    return pd.read_csv(path)
+
+
+def bound_table(slots: pd.DataFrame) -> pd.DataFrame:
+    """Return how far decisions are from the exact optimum of their slots.
+
+    Parameters
+    ----------
+    slots
+        From `bound_frame`.
+
+    Returns
+    -------
+    DataFrame
+        One row the policy whose states they are and the decider asked there: seeds, slots, gap
+        (value - exact, mean over the slots of a world; interval over worlds), gap_max, gap_share
+        (gaps over sizes of the optima, in all), share_optimal (gaps of 0, to 1e-6 of the optimum),
+        uncertified (largest exact - bound), and of the first PRBs alone, greedy - exact: sums over
+        users of the Lagrangian (first_gap) and of the logarithm of the rate.
+    """
+    rows = []
+    for (policy, decider), group in slots.groupby(["policy", "decider"], sort=False):
+        gap = group["value"] - group["exact"]
+        size = 1.0 + group["exact"].abs()
+        by_world = group.assign(gap=gap).groupby("seed")
+        first = group["first_lagrangian_greedy"] - group["first_lagrangian_exact"]
+        log_rate = group["first_log_rate_greedy"] - group["first_log_rate_exact"]
+        rows.append(
+            {
+                "states_of": policy,
+                "decider": decider,
+                "seeds": by_world.ngroups,
+                "slots": len(group),
+                **_columns("gap", mean_interval(by_world["gap"].mean())),
+                "gap_max": float(gap.max()),
+                "gap_share": float(gap.sum() / group["exact"].abs().sum()),
+                "share_optimal": float((gap <= 1e-6 * size).mean()),
+                "uncertified": float((group["exact"] - group["bound"]).max()),
+                **_columns("first_gap", _by_world(first, group["seed"])),
+                **_columns("first_log_rate_gap", _by_world(log_rate, group["seed"])),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def _by_world(values: pd.Series, seeds: pd.Series) -> Interval:
+    means: Sequence[float] = values.groupby(seeds).mean().to_list()
+    return mean_interval(means)
+
+
+def _columns(name: str, interval: Interval) -> dict[str, float]:
+    return {name: interval.mean, f"{name}_lo": interval.lo, f"{name}_hi": interval.hi}
