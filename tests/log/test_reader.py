@@ -60,6 +60,7 @@ def test_every_bit_comes_back(log_path: Path, random_fields: Any, verify: str) -
     assert content["metadata"] == {
         "scenario": "test", "seed": "1", "policy": "pf", "schema_version": "1", "profile": "full",
         "num_urllc": "3", "num_embb": "2", "num_prb": "7", "slot_ns": str(SLOT_NS),
+        "num_states": "5", "num_inputs": "2", "num_normals": "5",
     }  # fmt: skip
     assert set(content["files"]) == {"scenario.yaml", "policy.pt", "hiersched.proto"}
     assert content["files"]["scenario.yaml"] == b"name: test\n"

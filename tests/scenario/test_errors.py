@@ -34,7 +34,10 @@ from hiersched.scenario import ScenarioError, find_scenario, load_scenario
         ("name: 3", ["name = 3", "valid string"]),
         ("radio: {slot_s: 2024-01-01}", ["neither number, text, list nor mapping"]),
         # Not one of the choices.
-        ("control: {plant: wireless}", ["control.plant = 'wireless'", "'network' or 'split'"]),
+        (
+            "control: {plant: wireless}",
+            ["control.plant = 'wireless'", "'network', 'split' or 'linear'"],
+        ),
         ("robot: {reference: circle}", ["robot.reference = 'circle'", "'figure_eight'"]),
         ("evaluate: {policies: [pf, best]}", ["evaluate.policies.1 = 'best'", "'pf'"]),
         ("name: A B", ["name = 'A B'", "pattern"]),

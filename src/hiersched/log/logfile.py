@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import struct
 import zlib
+from dataclasses import MISSING, fields
 from io import BytesIO
 from typing import Any
 
@@ -205,9 +206,12 @@ class LogFile(RecordFile):
             self.slot_ns = int(self.metadata["slot_ns"])
             self.profile = self.metadata["profile"]
             self.dims = LogDims(
-                num_urllc=int(self.metadata["num_urllc"]),
-                num_embb=int(self.metadata["num_embb"]),
-                num_prb=int(self.metadata["num_prb"]),
+                **{
+                    field.name: int(self.metadata[field.name])
+                    for field in fields(LogDims)
+                    # Logs of earlier versions do not say what their robots are: unicycles.
+                    if field.default is MISSING or field.name in self.metadata
+                }
             )
         if self.profile not in PROFILES or self.slot_ns < 1:
             raise self._fail(

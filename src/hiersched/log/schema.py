@@ -42,23 +42,45 @@ class LogDims:
         Numbers of users of each slice; every URLLC user drives one robot.
     num_prb
         Number of physical resource blocks.
+    num_states, num_inputs, num_normals
+        Of every robot, by default a unicycle: states, inputs, standard normals a slot.
     """
 
     num_urllc: int
     num_embb: int
     num_prb: int
+    num_states: int = 5
+    num_inputs: int = 2
+    num_normals: int = 5
 
     def __post_init__(self) -> None:
-        for name, least in (("num_urllc", 0), ("num_embb", 0), ("num_prb", 1)):
+        for name in self.__dataclass_fields__:
+            least = 0 if name in ("num_urllc", "num_embb") else 1
             if getattr(self, name) < least:
                 raise ValueError(f"{name} is {getattr(self, name)}; allowed: at least {least}")
         if self.num_urllc + self.num_embb < 1:
             raise ValueError("num_urllc + num_embb is 0; allowed: at least 1 user")
 
     @property
+    def num_posed(self) -> int:
+        """Robots that have a pose in the plane: unicycles."""
+        is_unicycle = (self.num_states, self.num_inputs, self.num_normals) == (5, 2, 5)
+        return self.num_urllc if is_unicycle else 0
+
+    @property
     def sizes(self) -> dict[str, int]:
-        """Sizes by the letters that the table of fields uses: U users, R robots, K PRBs."""
-        return {"U": self.num_urllc + self.num_embb, "R": self.num_urllc, "K": self.num_prb}
+        """Sizes by the letters of the table of fields.
+
+        U users, R robots, K PRBs; of a robot N states, M inputs, W normals.
+        """
+        return {
+            "U": self.num_urllc + self.num_embb,
+            "R": self.num_urllc,
+            "K": self.num_prb,
+            "N": self.num_states,
+            "M": self.num_inputs,
+            "W": self.num_normals,
+        }
 
 
 @dataclass(frozen=True)
@@ -72,7 +94,8 @@ class Field:
     dtype
         Little-endian NumPy type: ``<f8`` double, ``<f4`` float, ``<u4`` fixed32, ``<u8`` fixed64.
     shape
-        Of one slot's value, in U, R, K and numbers; ``()`` is a scalar, all else is packed.
+        Of one slot's value, in the letters of `LogDims.sizes` and numbers; ``()`` is a scalar, all
+        else is packed.
     full_only
         Left out of the ``compact`` profile.
     """
@@ -150,7 +173,7 @@ TOPICS: Mapping[str, Topic] = MappingProxyType(
             _topic(
                 "/world",
                 ("arrival_uniform", "<f8", ("U",)),
-                ("robot_normal", "<f4", ("R", 5)),
+                ("robot_normal", "<f4", ("R", "W")),
                 full_only=True,
                 stored=True,
             ),
@@ -190,9 +213,9 @@ TOPICS: Mapping[str, Topic] = MappingProxyType(
                 ("delay_steps", "<u4", ("R",)),
                 ("delay_capped", "<u4", ("R",)),
                 ("gain_delay_steps", "<u4", ("R",)),
-                ("state", "<f8", ("R", 5)),
+                ("state", "<f8", ("R", "N")),
                 ("reference", "<f8", ("R", 5)),
-                ("control", "<f8", ("R", 2)),
+                ("control", "<f8", ("R", "M")),
                 ("control_saturated", "<u4", ("R",)),
                 ("tracking_error_m", "<f8", ("R",)),
                 ("dexterity_index", "<f8", ("R",)),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -110,9 +111,7 @@ class LogWriter:
         own = {
             "schema_version": str(SCHEMA_VERSION),
             "slot_ns": str(self._settings.slot_ns),
-            "num_urllc": str(dims.num_urllc),
-            "num_embb": str(dims.num_embb),
-            "num_prb": str(dims.num_prb),
+            **{name: str(size) for name, size in asdict(dims).items()},
             "profile": self._settings.profile,
         }
         for key, value in given.items():

@@ -73,7 +73,7 @@ def rerun_blueprint(dims: LogDims) -> Any:
     scene = rrb.Spatial3DView(
         name="Robots and references",
         origin="/robots",
-        contents=[f"+ {topic}" for pair in pose_topics(dims.num_urllc) for topic in pair],
+        contents=[f"+ {topic}" for pair in pose_topics(dims.num_posed) for topic in pair],
         spatial_information=rrb.SpatialInformation(target_frame=FRAME),
     )
     image = rrb.Spatial2DView(name="PRBs by owner: last 100 slots", origin=IMAGE_TOPIC)
@@ -158,7 +158,7 @@ def _mark_robots(recording: Any, dims: LogDims) -> None:
     import rerun as rr
 
     colours = user_colours(dims.num_urllc, dims.num_embb)
-    for robot, (pose, reference) in enumerate(pose_topics(dims.num_urllc)):
+    for robot, (pose, reference) in enumerate(pose_topics(dims.num_posed)):
         for topic, colour, radius in ((pose, colours[robot], 0.2), (reference, 160, 0.1)):
             recording.log(
                 topic,
@@ -197,7 +197,7 @@ def foxglove_layout(dims: LogDims) -> dict[str, Any]:
             "showLegend": False,
             "isSynced": True,
         }
-    topics = [topic for pair in pose_topics(dims.num_urllc) for topic in pair]
+    topics = [topic for pair in pose_topics(dims.num_posed) for topic in pair]
     configs["3D!0"] = {"topics": {topic: {"visible": True} for topic in topics}}
     configs["Image!0"] = {"imageMode": {"imageTopic": IMAGE_TOPIC}}
     configs["RosOut!0"] = {"topicToRender": "/events"}

@@ -130,18 +130,23 @@ def _write(log: LogReader, stream: IO[bytes]) -> None:
 
 def _messages(log: LogReader) -> Iterator[tuple[str, Any, int]]:
     """Yield topic, message without its time, and slot."""
-    robots = log.read("/robots", ["state", "reference"])
-    poses = robot_poses(robots["state"], robots["reference"]), robots["reference"][..., :3]
-    for index, slot in enumerate(robots["slot"].tolist()):
-        for robot, topics in enumerate(pose_topics(log.dims.num_urllc)):
-            for topic, pose in zip(topics, poses, strict=True):
-                yield topic, _pose(*pose[index, robot].tolist()), slot
+    if log.dims.num_posed:
+        yield from _pose_messages(log)
     owner = log.read("/allocation", ["prb_owner"])
     colours = user_colours(log.dims.num_urllc, log.dims.num_embb)
     for start in range(0, len(owner["slot"]), IMAGE_SLOTS):
         part = owner["prb_owner"][start : start + IMAGE_SLOTS]
         last = int(owner["slot"][start + len(part) - 1])
         yield IMAGE_TOPIC, _image(colours[part.T]), last
+
+
+def _pose_messages(log: LogReader) -> Iterator[tuple[str, Any, int]]:
+    robots = log.read("/robots", ["state", "reference"])
+    poses = robot_poses(robots["state"], robots["reference"]), robots["reference"][..., :3]
+    for index, slot in enumerate(robots["slot"].tolist()):
+        for robot, topics in enumerate(pose_topics(log.dims.num_posed)):
+            for topic, pose in zip(topics, poses, strict=True):
+                yield topic, _pose(*pose[index, robot].tolist()), slot
 
 
 def _pose(x: float, y: float, theta: float) -> Any:

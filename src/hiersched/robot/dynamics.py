@@ -110,13 +110,18 @@ class RobotState(NamedTuple):
 
 
 def robot_state(
-    num_envs: int, num_robots: int, max_delay_steps: int, initial_dexterity_index: float
+    num_envs: int,
+    num_robots: int,
+    max_delay_steps: int,
+    initial_dexterity_index: float,
+    num_states: int = NUM_STATES,
+    num_inputs: int = NUM_INPUTS,
 ) -> RobotState:
-    """Robots at rest on their reference."""
+    """Robots at rest on their reference; of linear plants, all but the motion itself."""
     return RobotState(
         lanes=np.zeros((num_envs, -(-num_robots // LANES), _END)),
-        history=np.zeros((num_envs, num_robots, max_delay_steps + 1, NUM_STATES)),
-        commands=np.zeros((num_envs, num_robots, max_delay_steps + 1, NUM_INPUTS)),
+        history=np.zeros((num_envs, num_robots, max_delay_steps + 1, num_states)),
+        commands=np.zeros((num_envs, num_robots, max_delay_steps + 1, num_inputs)),
         held=np.zeros((num_envs, num_robots, 2), np.int64),
         dexterity_index=np.full((num_envs, num_robots), initial_dexterity_index),
         gain_delay_steps=np.zeros((num_envs, num_robots), np.uint32),

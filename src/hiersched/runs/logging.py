@@ -54,7 +54,6 @@ def open_log(
         Further ones, such as the weights of a policy.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    users = scenario.users
     text = {
         "scenario": scenario.name,
         "scenario_sha256": scenario_sha256(scenario),
@@ -73,13 +72,26 @@ def open_log(
     }
     return LogWriter(
         path,
-        LogDims(num_urllc=users.num_urllc, num_embb=users.num_embb, num_prb=scenario.radio.num_prb),
+        log_dims(scenario),
         profile,
         text,
         files,
         slot_ns=round(scenario.radio.slot_s * 1e9),
         compression=scenario.log.compression,
         chunk_bytes=scenario.log.chunk_bytes,
+    )
+
+
+def log_dims(scenario: Scenario) -> LogDims:
+    """Sizes of a scenario's logs."""
+    num_states, num_inputs, num_normals = scenario.robot_sizes
+    return LogDims(
+        num_urllc=scenario.users.num_urllc,
+        num_embb=scenario.users.num_embb,
+        num_prb=scenario.radio.num_prb,
+        num_states=num_states,
+        num_inputs=num_inputs,
+        num_normals=num_normals,
     )
 
 

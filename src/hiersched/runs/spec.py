@@ -22,7 +22,8 @@ _CONSTRAINT = (
     "objective.delay_exponent",
     "objective.constraint",
 )
-_SLOT_LOOP = ("name", "users", "radio", "traffic", *_CONSTRAINT, "schedulers", "robot", "control")
+_ROBOTS = ("robot", "control", "linear_plant")
+_SLOT_LOOP = ("name", "users", "radio", "traffic", *_CONSTRAINT, "schedulers", *_ROBOTS)
 """Pick what the slot loop reads, whoever decides; `learning.reward_scale` is in its rewards."""
 
 _DESIGN = (
@@ -35,11 +36,11 @@ _DESIGN = (
     "control.decay_rate",
     "robot.speed_mps",
     "robot.actuator_lag_s",
+    *(f"linear_plant.{name}" for name in ("A", "A_d", "B", "Q", "R")),
 )
 _FORCED_DELAYS = (
     "name",
-    "robot",
-    "control",
+    *_ROBOTS,
     "radio.slot_s",
     "gain_study.seeds",
     "gain_study.violation_delay_s",

@@ -9,7 +9,7 @@ from typing import Literal, TypeAlias
 
 from hiersched.scenario import Scenario, ScenarioError
 from hiersched.scenario.consistency import inconsistencies
-from hiersched.scenario.schema import GainMethod, Users
+from hiersched.scenario.schema import Control, GainMethod, Users
 
 SWEPT_KEYS = {
     "rayleigh_scale": "radio.rayleigh_scale",
@@ -134,9 +134,19 @@ def study_scenario(scenario: Scenario, method: GainMethod, gain: Gain) -> Scenar
     ScenarioError
         If the method does not fit the rest of the scenario.
     """
-    control = replace(scenario.control, method=method, plant=STUDY_PLANTS[method], gain=gain)
+    control = replace(_study_control(scenario.control, method), gain=gain)
     variant = replace(scenario, control=control)
     return robots_alone(variant, scenario.gain_study.num_robots, f"gain_study with {method}")
+
+
+def _study_control(own: Control, method: GainMethod) -> Control:
+    """Return the section `control` with a method of the gain study and the plant that it is for.
+
+    A linear plant stays what it is; predictors are not held.
+    """
+    plant = own.plant if own.plant == "linear" else STUDY_PLANTS[method]
+    hold_samples = 0 if method == "predictor" else own.hold_samples
+    return replace(own, method=method, plant=plant, hold_samples=hold_samples)
 
 
 def robots_alone(scenario: Scenario, num_robots: int, what: str) -> Scenario:
@@ -181,9 +191,8 @@ def gain_designs(scenario: Scenario) -> dict[str, Scenario]:
         if value != own.sampling_s:
             designs[f"schedule_{value_text(value)}"] = swept_scenario(scenario, "sampling_s", value)
     for method in scenario.gain_study.methods:
-        plant = STUDY_PLANTS[method]
-        if (method, plant) != (own.method, own.plant):
-            control = replace(own, method=method, plant=plant)
+        control = _study_control(own, method)
+        if (control.method, control.plant) != (own.method, own.plant):
             designs[f"schedule_{method}"] = _checked(
                 replace(scenario, control=control), f"gain_study with {method}"
             )
@@ -195,11 +204,16 @@ def gain_designs(scenario: Scenario) -> dict[str, Scenario]:
 
 def design_of(scenario: Scenario, variant: Scenario) -> str:
     """Return the name of the schedule, among `gain_designs`, that a variant needs."""
-    wanted = replace(variant.control, gain="adjusted")
+    wanted = _designed_for(variant.control)
     for name, design in gain_designs(scenario).items():
-        if replace(design.control, gain="adjusted") == wanted:
+        if _designed_for(design.control) == wanted:
             return name
     raise ValueError(f"no gain schedule of this study is designed for {variant.control}")
+
+
+def _designed_for(control: Control) -> Control:
+    """Return what a schedule depends on: not how it is used."""
+    return replace(control, gain="adjusted", hold_samples=0)
 
 
 def group_policies(policies: tuple[str, ...], group: str) -> tuple[str, ...]:

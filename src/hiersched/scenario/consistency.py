@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hiersched.scenario.linear import linear_faults
 from hiersched.scenario.reference_file import reference_faults
 from hiersched.scenario.schema import Scenario, delay_steps
 
@@ -29,6 +30,7 @@ def inconsistencies(scenario: Scenario) -> list[str]:
         *_times(scenario),
         *_control(scenario),
         *reference_faults(scenario),
+        *linear_faults(scenario),
         *_arrivals(scenario),
         *_learning(scenario),
         *_studies(scenario),
@@ -124,15 +126,17 @@ def _control(scenario: Scenario) -> list[str]:
             f"control.hold_samples = {control.hold_samples}: must be 0 with control.method = "
             "'predictor' (a prediction over T samples is right for the delay T alone)"
         ]
-    if control.method == "razumikhin" and control.plant == "network":
+    kind = scenario.loop_kind
+    if control.method == "razumikhin" and kind == "network":
         return [
             "control.method = 'razumikhin': needs control.plant = 'split' (a plant with an "
-            "eigenvalue on the unit circle whose whole feedback is delayed has no such certificate)"
+            "eigenvalue on the unit circle whose whole feedback is delayed has no such "
+            "certificate), or linear_plant.A_d"
         ]
-    if control.method in NETWORK_METHODS and control.plant != "network":
+    if control.method in NETWORK_METHODS and kind != "network":
         return [
             f"control.method = {control.method!r}: needs control.plant = 'network' (it replaces "
-            "the whole feedback by one made for the delay)"
+            "the whole feedback by one made for the delay), or a linear plant without A_d"
         ]
     return []
 

@@ -19,7 +19,7 @@ from hiersched.scenario.schema import Scenario
 
 CONFIG = Path("config")
 _KEY_LINE = re.compile(
-    r"^(\s*)([a-z_0-9]+):\s*([^#]*?)\s*"
+    r"^(\s*)([A-Za-z_0-9]+):\s*([^#]*?)\s*"
     r"(?:#\s*\[([^\]]+)\]\s*(paper|assumed)(?::\s*(.*))?|#.*)?$"
 )
 

@@ -31,6 +31,7 @@ PolicyName = Literal[
     "exact",
 ]
 NonEmpty = Field(min_length=1)
+Matrix = Annotated[tuple[Annotated[tuple[float, ...], NonEmpty], ...], NonEmpty]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,12 +141,28 @@ class Control:
     sampling_s: Positive
     weight: Positive
     max_delay_s: Positive
-    plant: Literal["network", "split"]
+    plant: Literal["network", "split", "linear"]
     operator_share: Annotated[float, Field(gt=0, le=1)]
     method: GainMethod
     decay_rate: Annotated[float, Field(ge=0, lt=1)]
     gain: Literal["adjusted", "nominal"]
     hold_samples: Annotated[int, Field(ge=0)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinearPlant:
+    """Robots that are a discrete linear plant: n states, m inputs, matrices row by row."""
+
+    __pydantic_config__ = _STRICT
+    A: Matrix | None
+    A_d: Matrix | None
+    B: Matrix | None
+    Q: Matrix | None
+    R: Matrix | None
+    process_noise: tuple[NonNegative, ...] | None
+    measurement_noise: tuple[NonNegative, ...] | None
+    input_limits: tuple[Positive, ...] | None
+    error_states: Annotated[tuple[Annotated[int, Field(ge=0)], ...], NonEmpty] | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -271,6 +288,7 @@ class Scenario:
     schedulers: Schedulers
     robot: Robot
     control: Control
+    linear_plant: LinearPlant
     learning: Learning
     evaluate: Evaluation
     sweeps: Sweeps
@@ -283,6 +301,21 @@ class Scenario:
     def num_users(self) -> int:
         """Users of both slices, URLLC first."""
         return self.users.num_urllc + self.users.num_embb
+
+    @property
+    def robot_sizes(self) -> tuple[int, int, int]:
+        """States and inputs of a robot, and the standard normals that it takes a slot."""
+        A, B = self.linear_plant.A, self.linear_plant.B
+        if self.control.plant != "linear" or A is None or B is None:
+            return 5, 2, 5
+        return len(A), len(B[0]), 2 * len(A)
+
+    @property
+    def loop_kind(self) -> Literal["network", "split"]:
+        """Whether all feedback crosses the network; a linear plant with A_d is ``split``."""
+        if self.control.plant == "linear":
+            return "network" if self.linear_plant.A_d is None else "split"
+        return self.control.plant
 
     @property
     def max_delay_steps(self) -> int:

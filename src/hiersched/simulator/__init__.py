@@ -48,12 +48,15 @@ class Simulator:
         self.num_slots = num_slots
         self.constants: SlotConstants = slot_constants(scenario, gains, num_slots)
         self.state: SlotState = initial_state(scenario, keys, num_slots)
-        self._scratch = slot_scratch(self.constants)
+        self._scratch = slot_scratch(self.constants, scenario.robot_sizes)
         self._ones = np.ones((len(keys), scenario.num_users))
         self._zeros = np.zeros((len(keys), scenario.users.num_urllc))
         self._no_owners = np.zeros((0, 0, 0), np.uint32)
         self._layout = SlotLayout(
-            scenario.num_users, scenario.users.num_urllc, scenario.radio.num_prb
+            scenario.num_users,
+            scenario.users.num_urllc,
+            scenario.radio.num_prb,
+            scenario.robot_sizes,
         )
         draw_channels(self.constants, self.state, self._scratch)
 

@@ -16,6 +16,7 @@ from hiersched.control import (
     tracking_weights,
 )
 from hiersched.robot.plant import discretise, unicycle_error_model
+from hiersched.scenario.linear import linear_plant
 from hiersched.scenario.schema import Scenario
 
 POSE_STATES = (0, 1, 2)
@@ -58,8 +59,10 @@ class LoopGains:
 
 
 def plant_of(scenario: Scenario) -> DelayedPlant:
-    """Plant for which the gains are designed: straight reference, sampling interval h."""
+    """Plant for which the gains are designed: that of the scenario, or a unicycle on a line."""
     robot, control = scenario.robot, scenario.control
+    if control.plant == "linear":
+        return linear_plant(scenario)
     A, B = discretise(
         *unicycle_error_model(robot.speed_mps, 0.0, robot.actuator_lag_s), control.sampling_s
     )

@@ -36,6 +36,7 @@ from hiersched.robot.dynamics import (
     start_slot,
     steps_of_delay,
 )
+from hiersched.simulator.linear_robots import drive_linear
 from hiersched.simulator.prefetch import prefetch_third
 from hiersched.simulator.records import SlotFields
 from hiersched.simulator.service import serve
@@ -134,7 +135,7 @@ def run_slots(
                 )
             prefetch_third(row, 2)
             serve(constants, state, scratch, record, env)
-            _drive_robots(constants.robots, state, scratch.path, record, env)
+            _move_robots(constants, state, scratch, record, env)
             state.slot[env] += 1
             _copy(scratch.row, row)
             # The next slot's channel goes where it will be needed, after the last slot the state.
@@ -156,11 +157,11 @@ def run_robots(
     scratch.row[:] = 0  # what belongs to the network
     for env in range(state.key.shape[0]):
         for index in range(rows.shape[1]):
-            draw_normals(state.key[env], state.slot[env], scratch.normals, record.robot_normal)
+            _draw_robots(constants, state, scratch, record, env)
             for robot in range(constants.num_urllc):
                 record.dexterity_index[robot] = state.robots.dexterity_index[env, robot]
                 record.network_delay_s[robot] = network_delay_s[env, index, robot]
-            _drive_robots(constants.robots, state, scratch.path, record, env)
+            _move_robots(constants, state, scratch, record, env)
             state.slot[env] += 1
             _copy(scratch.row, rows[env, index])
 
@@ -205,7 +206,7 @@ def _observe(
     key = state.key[env]
     slot = state.slot[env]
     draw_uniforms(key, STREAM_ARRIVAL, slot, 0, record.arrival_uniform)
-    draw_normals(key, slot, scratch.normals, record.robot_normal)
+    _draw_robots(constants, state, scratch, record, env)
     terms = scratch.terms
     for user in range(num_users):
         record.mean_fading_power[user] = _row_mean(record.fading_power[user])
@@ -223,6 +224,38 @@ def _observe(
 
 
 @kernel(forceinline=True)
+def _draw_robots(
+    constants: SlotConstants, state: SlotState, scratch: SlotScratch, record: SlotFields, env: int
+) -> None:
+    """Draw the robots' standard normals of the slot."""
+    if constants.is_linear:
+        rows = scratch.linear_normals
+        draw_normals(state.key[env], state.slot[env], scratch.normals, rows)
+        normals = record.robot_normal.reshape(-1)
+        _copy(rows.reshape(-1)[: normals.shape[0]], normals)
+    else:
+        draw_normals(state.key[env], state.slot[env], scratch.normals, record.robot_normal)
+
+
+@kernel(forceinline=True)
+def _move_robots(
+    constants: SlotConstants, state: SlotState, scratch: SlotScratch, record: SlotFields, env: int
+) -> None:
+    """Move all robots through the slot with the network delays that stand in the record."""
+    robots = constants.robots
+    for robot in range(record.network_delay_s.shape[0]):
+        wanted = steps_of_delay(record.network_delay_s[robot], robots.sampling_s)
+        steps = min(wanted, robots.max_delay_steps)
+        record.delay_steps[robot] = steps
+        record.delay_capped[robot] = 1 if wanted > steps else 0
+        record.control_saturated[robot] = 0
+    if constants.is_linear:
+        drive_linear(robots, constants.linear, state, record, env)
+    else:
+        _drive_robots(robots, state, scratch.path, record, env)
+
+
+@kernel(forceinline=True)
 def _drive_robots(
     robots: RobotConstants,
     state: SlotState,
@@ -230,17 +263,10 @@ def _drive_robots(
     record: SlotFields,
     env: int,
 ) -> None:
-    """Move all robots through the slot with the network delays that stand in the record."""
-    delay_s = record.network_delay_s
+    """Move all unicycles through the slot."""
     delay_steps = record.delay_steps
     saturated = record.control_saturated
-    num_robots = delay_s.shape[0]
-    for robot in range(num_robots):
-        wanted = steps_of_delay(delay_s[robot], robots.sampling_s)
-        steps = min(wanted, robots.max_delay_steps)
-        delay_steps[robot] = steps
-        record.delay_capped[robot] = 1 if wanted > steps else 0
-        saturated[robot] = 0
+    num_robots = delay_steps.shape[0]
     first = state.slot[env] * robots.steps_per_slot
     last = first + robots.steps_per_slot
     for block in range(state.robots.lanes.shape[1]):

@@ -12,14 +12,15 @@ from numpy.typing import NDArray
 class SlotFields(NamedTuple):
     """What a slot holds, field by field; the shape of one slot is noted.
 
-    U users (URLLC first), R robots (one a URLLC user), K PRBs. Fields and units are those of the
-    log's topics.
+    U users (URLLC first), R robots (one a URLLC user), K PRBs. A robot has N states, M inputs and W
+    normals: 5, 2 and 5 for a unicycle, n, m and 2 n for a linear plant. Fields and units are those
+    of the log's topics.
     """
 
     fading_power: NDArray[np.float32]  # (U, K) squared amplitude
     mean_fading_power: NDArray[np.float32]  # (U,)
     arrival_uniform: NDArray[np.float64]  # (U,)
-    robot_normal: NDArray[np.float32]  # (R, 5) slip 2, measurement noise 3
+    robot_normal: NDArray[np.float32]  # (R, W) slip and noise of the measurement
     prb_owner: NDArray[np.uint32]  # (K,)
     num_prb: NDArray[np.uint32]  # (U,)
     rate_mbps: NDArray[np.float64]  # (U,)
@@ -45,9 +46,9 @@ class SlotFields(NamedTuple):
     delay_steps: NDArray[np.uint32]  # (R,) T_d of this slot, at most T_max
     delay_capped: NDArray[np.uint32]  # (R,) 0 or 1
     gain_delay_steps: NDArray[np.uint32]  # (R,) T of the adjusted gain in force, 0: nominal
-    state: NDArray[np.float64]  # (R, 5) at the end of the slot
-    reference: NDArray[np.float64]  # (R, 5) x, y, theta, v, omega at the end of the slot
-    control: NDArray[np.float64]  # (R, 2)
+    state: NDArray[np.float64]  # (R, N) at the end of the slot
+    reference: NDArray[np.float64]  # (R, 5) x, y, theta, v, omega at the slot's end; linear: 0
+    control: NDArray[np.float64]  # (R, M)
     control_saturated: NDArray[np.uint32]  # (R,) samples
     tracking_error_m: NDArray[np.float64]  # (R,) root mean square over the slot
     dexterity_index: NDArray[np.float64]  # (R,) in force
@@ -69,11 +70,11 @@ class SlotRecord(SlotFields):
 
 _SHAPES: dict[str, tuple[str | int, ...]] = {
     "fading_power": ("U", "K"),
-    "robot_normal": ("R", 5),
+    "robot_normal": ("R", "W"),
     "prb_owner": ("K",),
-    "state": ("R", 5),
+    "state": ("R", "N"),
     "reference": ("R", 5),
-    "control": ("R", 2),
+    "control": ("R", "M"),
 }
 _PER_ROBOT = (
     "multiplier",
@@ -120,10 +121,19 @@ class SlotLayout:
     ----------
     num_users, num_robots, num_prb
         U, R and K of the shapes in `SlotFields`.
+    robot_sizes
+        N, M and W; those of a unicycle unless given.
     """
 
-    def __init__(self, num_users: int, num_robots: int, num_prb: int) -> None:
+    def __init__(
+        self,
+        num_users: int,
+        num_robots: int,
+        num_prb: int,
+        robot_sizes: tuple[int, int, int] = (5, 2, 5),
+    ) -> None:
         sizes = {"U": num_users, "R": num_robots, "K": num_prb}
+        sizes |= zip("NMW", robot_sizes, strict=True)
         self._places: dict[str, tuple[int, np.dtype[Any], tuple[int, ...]]] = {}
         offset = 0
         for name in SlotFields._fields:

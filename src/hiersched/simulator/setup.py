@@ -17,6 +17,7 @@ from hiersched.network.traffic import MAX_MEAN, NUM_ARRIVAL_LANES
 from hiersched.radio.channel import large_scale_gain, snr_per_fading_power
 from hiersched.randomness import NormalScratch, normal_scratch
 from hiersched.robot.dynamics import RobotConstants, RobotState, path_scratch, robot_state
+from hiersched.robot.linear import LinearConstants, LinearState, linear_state
 from hiersched.robot.reference import PathShape, ReferenceTable, driven_table, reference_table
 from hiersched.scenario.reference_file import arc_lengths, turns
 from hiersched.scenario.schema import Robot, Scenario
@@ -79,6 +80,8 @@ class SlotConstants(NamedTuple):
     reward_scale: float
     rules: SchedulerConstants
     robots: RobotConstants
+    is_linear: bool  # robots that are linear plants, not unicycles
+    linear: LinearConstants
 
 
 class SlotState(NamedTuple):
@@ -96,6 +99,7 @@ class SlotState(NamedTuple):
     arrived: NDArray[np.float64]  # (E, T + 1, U): a slot's users side by side in memory
     head: NDArray[np.int64]  # (E, U)
     robots: RobotState
+    linear: LinearState
 
 
 class SlotScratch(NamedTuple):
@@ -110,6 +114,7 @@ class SlotScratch(NamedTuple):
     terms: UserTerms
     allocation: AllocationScratch
     path: NDArray[np.float64]
+    linear_normals: NDArray[np.float32]  # of all linear plants, in rows of 5
     slot: SlotFields
     row: NDArray[np.uint64]  # in which `slot` lies
 
@@ -193,6 +198,8 @@ def slot_constants(scenario: Scenario, gains: Gains, num_slots: int) -> SlotCons
         reward_scale=scenario.learning.reward_scale,
         rules=rules,
         robots=robot_constants(scenario, gains, num_slots, num_urllc),
+        is_linear=scenario.control.plant == "linear",
+        linear=_linear_constants(scenario),
     )
 
 
@@ -216,7 +223,7 @@ def robot_constants(
     step_s = robot.substep_s
     steps_per_slot = round(slot_s / step_s)
     needed = scenario.max_delay_steps + 1
-    tables = _gain_tables(gains, needed)
+    tables = _gain_tables(gains, needed, *scenario.robot_sizes[:2])
     table, offset = _reference(robot, num_slots * steps_per_slot, num_robots)
     decay = float(np.exp(-step_s / robot.actuator_lag_s))
     slip_decay = float(np.exp(-slot_s / robot.slip_time_s))
@@ -275,12 +282,35 @@ def _reference(
     )
 
 
-def _gain_tables(gains: Gains, needed: int) -> dict[str, NDArray[np.float64]]:
-    """Gain tables of `RobotConstants` by name, for `needed` delays."""
+def _linear_constants(scenario: Scenario) -> LinearConstants:
+    """Return the matrices of section `linear_plant`, or empty ones for unicycles."""
+    section, (n, m, _) = scenario.linear_plant, scenario.robot_sizes
+    if scenario.control.plant != "linear":
+        n = m = 0
+    limits = section.input_limits
+    arrays = {
+        name: np.zeros(shape) if value is None or n == 0 else np.array(value, dtype=np.float64)
+        for name, value, shape in (
+            ("A", section.A, (n, n)),
+            ("A_d", section.A_d, (n, n)),
+            ("B", section.B, (n, m)),
+            ("process_noise", section.process_noise, n),
+            ("measurement_noise", section.measurement_noise, n),
+        )
+    }
+    return LinearConstants(
+        **arrays,
+        input_limits=np.full(m, np.inf) if limits is None else np.array(limits, np.float64),
+        error_states=np.array(section.error_states or (), np.int64),
+    )
+
+
+def _gain_tables(gains: Gains, needed: int, n: int, m: int) -> dict[str, NDArray[np.float64]]:
+    """Gain tables of `RobotConstants` by name, for `needed` delays, n states and m inputs."""
     shapes = {
-        "local_gains": (needed, 2, 5),
-        "network_gains": (needed, 2, 5),
-        "input_gains": (needed, needed - 1, 2, 2),
+        "local_gains": (needed, m, n),
+        "network_gains": (needed, m, n),
+        "input_gains": (needed, needed - 1, m, m),
     }
     tables = {}
     for name, shape in shapes.items():
@@ -297,7 +327,7 @@ def initial_state(scenario: Scenario, keys: NDArray[np.uint64], num_slots: int) 
     The channel of slot 0 is not drawn yet: `Simulator` does that.
     """
     num_envs, num_users, num_prb = len(keys), scenario.num_users, scenario.radio.num_prb
-    radio = scenario.radio
+    radio, (n, m, _) = scenario.radio, scenario.robot_sizes
     snr = np.full((num_envs, num_users), snr_per_fading_power(radio.tx_power_dbm, radio.noise_dbm))
     if radio.path_loss == "macro":
         for env, key in enumerate(keys):
@@ -325,7 +355,10 @@ def initial_state(scenario: Scenario, keys: NDArray[np.uint64], num_slots: int) 
             scenario.users.num_urllc,
             scenario.max_delay_steps,
             scenario.robot.initial_dexterity_index,
+            n,
+            m,
         ),
+        linear=linear_state(num_envs, scenario.users.num_urllc, scenario.max_delay_steps + 1, n, m),
     )
 
 
@@ -369,15 +402,16 @@ def user_terms(constants: SlotConstants) -> UserTerms:
     )
 
 
-def slot_scratch(constants: SlotConstants) -> SlotScratch:
-    """Work arrays for one caller of the slot loop."""
+def slot_scratch(constants: SlotConstants, robot_sizes: tuple[int, int, int]) -> SlotScratch:
+    """Work arrays for one caller of the slot loop; sizes from `Scenario.robot_sizes`."""
     num_users = len(constants.offered_mbps)
     num_prb = constants.num_prb
     blocks = -(-num_users // LANES)
-    slot, row = SlotLayout(num_users, constants.num_urllc, num_prb).slot()
+    slot, row = SlotLayout(num_users, constants.num_urllc, num_prb, robot_sizes).slot()
+    normal_rows = -(-constants.num_urllc * robot_sizes[2] // 5)
     return SlotScratch(
         words=np.zeros((4, (num_users * num_prb + 3) // 4), np.uint32),
-        normals=normal_scratch(constants.num_urllc),
+        normals=normal_scratch(normal_rows),
         weight=np.zeros(num_users),
         users=_user_lanes(constants),
         arrivals=np.zeros((blocks, NUM_ARRIVAL_LANES)),
@@ -385,6 +419,7 @@ def slot_scratch(constants: SlotConstants) -> SlotScratch:
         terms=user_terms(constants),
         allocation=allocation_scratch(num_users, num_prb),
         path=path_scratch(constants.robots.steps_per_slot),
+        linear_normals=np.zeros((normal_rows if constants.is_linear else 0, 5), np.float32),
         slot=slot,
         row=row,
     )
