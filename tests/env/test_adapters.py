@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -83,6 +84,19 @@ def test_both_views_of_a_world_agree(scenario, gains):
         assert infos["urllc"]["cost"] == info["cost"]
     assert truncated == {"urllc": True, "embb": True}
     assert pair.agents == []
+
+
+def test_the_environment_charges_the_robots_tracking_error(scenario, gains):
+    priced = replace(scenario, learning=replace(scenario.learning, task_weight=4.0))
+    plain, task = (SlicingVectorEnv(one, gains, 2) for one in (scenario, priced))
+    for env in (plain, task):
+        env.reset(seed=1)
+    _, without, *_ = plain.step(np.zeros((2, 5), np.float32))
+    _, reward, *_ = task.step(np.zeros((2, 5), np.float32))
+    error_cm = 100.0 * task._loop.record.tracking_error_m[:, 0].mean(axis=1)
+    cost = 4.0 * error_cm / scenario.learning.reward_scale
+    np.testing.assert_allclose(without - reward, 0.5 * cost)
+    assert (cost > 0.0).all()
 
 
 def test_with_equal_actions_the_environment_is_proportional_fair(scenario, gains):

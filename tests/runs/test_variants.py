@@ -68,6 +68,8 @@ def test_designs(tiny: Scenario) -> None:
 def test_groups(tiny: Scenario) -> None:
     assert group_policies(tiny.evaluate.policies, "classical") == ("pf", "edf")
     assert group_policies(tiny.evaluate.policies, "ddpg") == ("ddpg",)
+    assert group_policies(("pf", "a2c"), "ddpg") == ("a2c",)
+    assert group_policies(("pf", "a2c"), "classical") == ("pf",)
 
 
 def test_no_two_logs_share_a_path(tiny: Scenario) -> None:

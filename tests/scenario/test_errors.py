@@ -43,6 +43,14 @@ from hiersched.scenario import ScenarioError, find_scenario, load_scenario
         ("name: A B", ["name = 'A B'", "pattern"]),
         # Keys that do not fit each other.
         (
+            "learning: {algorithm: a2c}",
+            ["evaluate.policies = ['ddpg'", "ddpg is not trained where learning.algorithm = a2c"],
+        ),
+        (
+            "learning: {start: drift_plus_penalty}",
+            ["learning.start = drift_plus_penalty: must be pf or max_weight", "algorithm = ddpg"],
+        ),
+        (
             "users: {num_urllc: 20}\ntraffic: {urllc_offered_mbps: 10.0}",
             ["users.num_urllc + users.num_embb = 30", "at most radio.num_prb = 25"],
         ),

@@ -34,10 +34,13 @@ STUDY_PLANTS: dict[GainMethod, Literal["network", "split"]] = {
 
 CLASSICAL_GROUP = "classical"
 LEARNED_GROUP = "ddpg"
+LEARNED = ("ddpg", "a2c")
+"""Policies that are trained; a scenario has the one that `learning.algorithm` names."""
+
 STUDY_GAINS: tuple[Gain, ...] = ("nominal", "adjusted")
 
 GROUPS = (CLASSICAL_GROUP, LEARNED_GROUP)
-"""Policies that share a job: those that need no training, and the learned one."""
+"""Policies that share a job: those that need no training, and the learned one (either kind)."""
 
 
 def value_text(value: float | str) -> str:
@@ -218,9 +221,7 @@ def _designed_for(control: Control) -> Control:
 
 def group_policies(policies: tuple[str, ...], group: str) -> tuple[str, ...]:
     """Return the policies of a list that belong to a group, in their order."""
-    return tuple(
-        policy for policy in policies if (policy == LEARNED_GROUP) == (group == LEARNED_GROUP)
-    )
+    return tuple(policy for policy in policies if (policy in LEARNED) == (group == LEARNED_GROUP))
 
 
 def check_variants(scenario: Scenario) -> None:

@@ -241,6 +241,12 @@ def _studies(scenario: Scenario) -> list[str]:
             )
         if len(set(section.policies)) != len(section.policies):
             faults.append(f"{name}.policies = {list(section.policies)}: every policy once")
+        faults.extend(
+            f"{name}.policies = {list(section.policies)}: {policy} is not trained where "
+            f"learning.algorithm = {scenario.learning.algorithm}"
+            for policy in ("ddpg", "a2c")
+            if policy in section.policies and policy != scenario.learning.algorithm
+        )
     return faults
 
 

@@ -18,6 +18,7 @@ GainMethod = Literal["krasovskii", "razumikhin", "predictor", "latency_compensat
 Reference = Literal["straight", "arc", "figure_eight", "zigzag", "file"]
 PolicyName = Literal[
     "ddpg",
+    "a2c",
     "pf",
     "pf_average",
     "round_robin",
