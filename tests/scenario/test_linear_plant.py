@@ -80,6 +80,7 @@ def test_faulty_plants_are_refused(load_plant, section, words):
             {"section": {"A_d": [[0.0, 0.0], [0.0, 0.0]]}, "control": {"method": "h2"}},
             ["'h2'", "without A_d"],
         ),
+        ({"learning": {"observe_robots": True}}, ["learning.observe_robots = true", "linear"]),
     ],
 )
 def test_what_a_linear_plant_needs(load_plant, changes, words):

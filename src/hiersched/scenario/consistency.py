@@ -177,6 +177,11 @@ def _learning(scenario: Scenario) -> list[str]:
             f"learning.replay_capacity = {learning.replay_capacity}: at least "
             f"learning.num_envs * learning.slots_per_episode = {round_slots}"
         )
+    if learning.observe_robots and scenario.control.plant == "linear":
+        faults.append(
+            "learning.observe_robots = true: must be false where control.plant = linear, whose "
+            "robots have no position"
+        )
     if learning.start == "drift_plus_penalty" and learning.algorithm == "ddpg":
         faults.append(
             "learning.start = drift_plus_penalty: must be pf or max_weight with learning.algorithm "
