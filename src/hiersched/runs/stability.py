@@ -119,10 +119,12 @@ def write_stability(scenario: Scenario, results: Path) -> Path:
 
 def _weight_rows(scenario: Scenario, results: Path) -> list[dict[str, Any]]:
     rows = []
+    is_linear = scenario.control.plant == "linear"
+    kinds: tuple[Literal["network", "split", "linear"], ...] = ("linear",) if is_linear else PLANTS
     for weight in scenario.gain_study.weight:
         own = weighted_scenario(scenario, weight)
         cap = own.max_delay_steps
-        for kind in PLANTS:
+        for kind in kinds:
             plant = plant_of(replace(own, control=replace(own.control, plant=kind)))
             for criterion, longest in certified_delays(plant, cap).items():
                 rows.append(_row("weight", weight, own, kind, criterion, longest))
