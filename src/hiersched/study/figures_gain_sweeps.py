@@ -98,6 +98,7 @@ def draw_gain_stability(regions: pd.DataFrame, scenario: Scenario) -> Figure:
             if len(rows):
                 _draw_region(axes, rows, look, step * (number - 2))
         axes.set_title(f"({name}) {plant} plant")
+        axes.set_xticks(sorted(set(own["value"])))
         axes.set_xlabel("weight q [1]")
         axes.set_ylabel("longest delay [ms]")
         axes.set_ylim(-0.07 * longest_ms, 1.12 * longest_ms)
