@@ -36,7 +36,7 @@ def test_bisection_finds_the_longest_delay(limit: int) -> None:
 
 @pytest.mark.parametrize(
     ("radii", "last"),
-    [([0.9, 0.99, 1.0, 0.9], 1), ([1.0, 0.5], None), ([0.5, 0.6], 1), ([0.5, 1.5, 0.5], 0)],
+    [([0.9, 0.99, 1.0, 0.9], 1), ([1.0, 0.5], None), ([0.5, 0.6], 1), ([0.5, 1.5, 0.5, 1.1], 0)],
 )
 def test_the_first_unstable_delay_ends_the_region(radii: list[float], last: int | None) -> None:
     assert last_stable(np.array(radii)) == last
