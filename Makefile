@@ -19,7 +19,7 @@ RUN := env PATH="$(BIN):$$PATH" OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help install paper smoke test lint format bench clean distclean
+.PHONY: help install paper smoke readme test lint format bench clean distclean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -42,6 +42,9 @@ paper: $(STAMP)  ## every figure and table of the paper (results/paper)
 smoke: $(STAMP)  ## the same pipeline, small enough for a few minutes (results/smoke)
 	$(RUN) snakemake --cores $(CORES) --config scenarios='[smoke]'
 	@echo "Figures: results/smoke/figures    tables: results/smoke/tables"
+
+readme: $(STAMP)  ## write the verdicts of results/paper into the README
+	$(RUN) python workflow/scripts/readme.py --results results/paper
 
 test: $(STAMP)  ## the tests
 	$(RUN) python -m pytest -n $(CORES) --dist loadfile

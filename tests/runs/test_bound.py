@@ -88,6 +88,19 @@ def test_values_are_those_of_the_first_slot(tiny: Scenario, results: Path) -> No
     assert float(row["value"]) == pytest.approx(lagrangian(terms, np.arange(4), rates)[0].sum())
 
 
+def test_terms_of_a_slot_have_the_offset_of_the_dexterity_index(
+    tiny: Scenario, results: Path
+) -> None:
+    _, gains = load_gains(results / "gains/schedule.json", tiny)
+    constants = Simulator(tiny, gains, seed_worlds("evaluate", [11]), 1).constants
+    backlog, multiplier = np.array([1.0, 2.0, 3.0, 4.0]), np.array([5.0, 6.0])
+    terms = slot_terms(constants, backlog, np.array([0.6, 0.8]), multiplier)
+    beta = tiny.traffic.service_coefficient_mbps
+    assert terms.service_offset_mbps.tolist() == [beta * 0.6, beta * 0.8, 0.0, 0.0]
+    assert terms.backlog_packets.tolist() == backlog.tolist()
+    assert terms.multiplier.tolist() == [5.0, 6.0, 0.0, 0.0]
+
+
 def test_a_log_without_channel_is_refused(tiny: Scenario, results: Path) -> None:
     scenario = with_policies(tiny, "pf")
     compact = replace(scenario, log=replace(scenario.log, evaluate_profile="compact"))

@@ -4,6 +4,7 @@ import json
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pandas as pd
@@ -12,12 +13,27 @@ from scipy import stats
 
 from hiersched.scenario import Scenario
 from hiersched.study.claims import judge
-from hiersched.study.claims_report import verdict_table, write_claims
+from hiersched.study.claims_report import (
+    BEGIN,
+    END,
+    claims_json,
+    insert_table,
+    verdict_table,
+    write_claims,
+)
 from hiersched.study.conditions import Frames
 from hiersched.study.measured import settling
 from hiersched.study.statistics import Interval
 from hiersched.study.tables import write_tables
-from hiersched.study.verdicts import Claim, Condition, Outcome, Statement, flipping, verdict_of
+from hiersched.study.verdicts import (
+    Claim,
+    Condition,
+    Outcome,
+    Statement,
+    Verdict,
+    flipping,
+    verdict_of,
+)
 
 
 def statement(lo: float, hi: float, **claimed: float) -> Statement:
@@ -210,6 +226,7 @@ def test_numbers_are_those_of_the_planted_runs(claims: dict[int, Claim]) -> None
     assert difference.interval == pytest.approx((2.0, bounds.low, bounds.high))
     assert claims[4].base.statements[0].interval.mean == pytest.approx(1.0)
     assert claims[5].base.statements[0].interval.mean == pytest.approx(-1.0)
+    assert claims[5].base.statements[1].interval.mean == pytest.approx(2.0 / 6.0)
     assert claims[7].base.statements[0].interval.mean == pytest.approx(-0.4)
     assert claims[8].base.statements[0].interval.mean == pytest.approx(0.7)
     assert claims[9].base.statements[0].interval.mean == pytest.approx(0.95)
@@ -251,3 +268,26 @@ def test_both_files_say_the_same(results: Path, tiny: Scenario, project_root: Pa
 
 def test_every_claim_is_a_row(claims: dict[int, Claim]) -> None:
     assert len(verdict_table(list(claims.values()))) == 12
+
+
+def test_the_readme_gets_its_table_from_the_file(
+    claims: dict[int, Claim], scenario: Scenario
+) -> None:
+    document = claims_json(list(claims.values()), scenario)
+    text = insert_table(f"before\n{BEGIN}\nold\n{END}\nafter\n", document)
+    assert text.startswith(f"before\n{BEGIN}\n| ")
+    assert text.endswith(f"\n{END}\nafter\n")
+    assert "old" not in text
+    assert insert_table(text, document) == text
+    (row,) = [line for line in text.splitlines() if line.startswith("| 3 |")]
+    assert "eMBB rate − URLLC rate: 2.0000 [" in row
+    assert "**depends** | traffic.load = 1.05 |" in row
+    with pytest.raises(ValueError, match="claims: begin"):
+        insert_table("no marks", document)
+
+
+def test_the_readme_has_a_verdict_on_every_claim(project_root: Path) -> None:
+    table = (project_root / "README.md").read_text(encoding="utf-8").split(BEGIN)[1].split(END)[0]
+    rows = [line for line in table.splitlines() if line.startswith("| ")][1:]
+    assert [row.split("|")[1].strip() for row in rows] == [str(n) for n in range(1, 11)]
+    assert all(row.split("**")[1] in get_args(Verdict) for row in rows)

@@ -20,6 +20,9 @@ from hiersched.study.statistics import LEVEL
 from hiersched.study.tables import interval_text
 from hiersched.study.verdicts import RULE, Claim, Condition, Statement
 
+BEGIN, END = "<!-- claims: begin -->", "<!-- claims: end -->"
+"""Marks in a text between which `insert_table` writes."""
+
 NAMES = ("claims.json", "claims.md")
 
 
@@ -129,6 +132,43 @@ def verdict_table(claims: Sequence[Claim]) -> list[str]:
             f"| {_numbers(claim.base)} | **{claim.verdict}** | {flips}{note} |"
         )
     return lines
+
+
+def insert_table(text: str, claims_json: str) -> str:
+    """Return a text with the table of verdicts between its two marks, from ``claims.json``.
+
+    Parameters
+    ----------
+    text
+        Has the lines `BEGIN` and `END`.
+    claims_json
+        Content of the file.
+
+    Raises
+    ------
+    ValueError
+        If the marks are missing.
+    """
+    if text.count(BEGIN) != 1 or text.count(END) != 1:
+        raise ValueError(f"the text must have the lines {BEGIN} and {END} once each")
+    lines = ["| | Claim | As configured | Verdict | Flipped by |", "|---:|---|---|---|---|"]
+    for claim in json.loads(claims_json)["claims"]:
+        numbers = "; ".join(map(_plain, claim["base"]["statements"]))
+        flips = "; ".join(claim["flipped_by"]) or "nothing that was run"
+        lines.append(
+            f"| {claim['number']} | {claim['claim']} ({claim['reference']}) | {numbers} "
+            f"| **{claim['verdict']}** | {flips} |"
+        )
+    before, rest = text.split(BEGIN)
+    return "\n".join([before + BEGIN, *lines, END + rest.split(END)[1]])
+
+
+def _plain(statement: dict[str, Any]) -> str:
+    """Return name, estimate and interval of a statement of ``claims.json``."""
+    bounds = (statement[key] for key in ("estimate", "lo", "hi"))
+    numbers = (math.inf if bound is None else float(bound) for bound in bounds)
+    unit = "" if statement["unit"] == "1" else f" {statement['unit']}"
+    return f"{statement['name']}: {interval_text(*numbers)}{unit}"
 
 
 def _condition(condition: Condition) -> dict[str, Any]:
