@@ -22,7 +22,9 @@ pytestmark = pytest.mark.slow
 SMOKE = "config/scenarios/smoke.yaml"
 ALWAYS = {"aggregate", "claims", "figures"}
 LEARNED = {"train", "evaluate_ddpg", *(f"sweep_{axis}_ddpg" for axis in SWEPT_KEYS)}
+LEARNED |= {"generalise_ddpg", "bound"}
 CLASSICAL = {"evaluate_classical", *(f"sweep_{axis}_classical" for axis in SWEPT_KEYS)}
+CLASSICAL |= {"generalise_classical", "bound"}
 GAIN_SWEEPS = {f"gain_sweep_{axis}" for axis in ("grid", "sampling_s", "noise")}
 EVERY_RUN = {*LEARNED, *CLASSICAL, "gain_study", *GAIN_SWEEPS}
 
@@ -59,6 +61,7 @@ def outputs(scenario: Scenario) -> list[str]:
         *paths.policy_files(scenario),
         *paths.all_logs(scenario),
         paths.RUNS,
+        paths.BOUND,
         *paths.CLAIMS,
         *(f"figures/{name}.{end}" for name in paths.FIGURES for end in ("svg", "png")),
         *(f"tables/{name}.{end}" for name in paths.TABLES for end in ("csv", "md")),
@@ -126,7 +129,7 @@ def test_comments_and_the_order_of_keys_run_nothing(tree: Path) -> None:
 
 def test_a_value_runs_its_dependents(tree: Path) -> None:
     with edited(tree, (SMOKE, "duration_s: 3.0", "duration_s: 4.0")):
-        assert to_run(tree) == {"evaluate_classical", "evaluate_ddpg", *ALWAYS}
+        assert to_run(tree) == {"evaluate_classical", "evaluate_ddpg", "bound", *ALWAYS}
 
 
 def test_two_swapped_values_are_a_change(tree: Path) -> None:
@@ -181,7 +184,7 @@ def test_a_missing_log_is_made_again(tree: Path) -> None:
     content, stat = log.read_bytes(), log.stat()
     log.unlink()
     try:
-        assert to_run(tree) == {"evaluate_classical", *ALWAYS}
+        assert to_run(tree) == {"evaluate_classical", "bound", *ALWAYS}
     finally:
         log.write_bytes(content)
         os.utime(log, ns=(stat.st_atime_ns, stat.st_mtime_ns))
