@@ -102,7 +102,7 @@ def test_proto_source_names_the_schema_version() -> None:
     assert re.search(rb"Schema version (\d+)", proto_source())[1] == str(SCHEMA_VERSION).encode()
 
 
-def test_compact_profile_leaves_out_what_the_streams_regenerate() -> None:
+def test_compact_profile_leaves_out_what_seed_and_scenario_give_again() -> None:
     assert set(channel_ids("full")) == {*TOPICS, EVENTS_TOPIC}
     assert set(channel_ids("full")) - set(channel_ids("compact")) == {"/world"}
     left_out = {
@@ -110,7 +110,7 @@ def test_compact_profile_leaves_out_what_the_streams_regenerate() -> None:
         for topic in TOPICS.values()
         for field in set(topic.fields) - set(topic.fields_in("compact"))
     }
-    assert left_out == {"slot", "fading_power", "arrival_uniform", "robot_normal"}
+    assert left_out == {"slot", "fading_power", "arrival_uniform", "robot_normal", "reference"}
 
 
 @pytest.mark.parametrize(

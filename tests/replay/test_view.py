@@ -127,6 +127,17 @@ def test_foxglove_layout_names_panels_and_fields_that_exist() -> None:
             assert field in {f.name for f in TOPICS[topic].fields}
 
 
+def test_poses_need_the_full_profile(
+    study: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log = next((study / "train").rglob("*.mcap"))
+    assert main(["export", str(log), "--viewer", "--out", str(tmp_path / "out")]) == 2
+    assert (
+        "poses need the reference, which the profile compact leaves out" in capsys.readouterr().err
+    )
+    assert not list(tmp_path.rglob("*.mcap"))
+
+
 def test_export_for_viewers(study: Path, tmp_path: Path) -> None:
     assert main(["export", str(study / LOG), "--viewer", "--out", str(tmp_path / "v")]) == 0
     assert sorted(p.name for p in (tmp_path / "v").iterdir()) == ["foxglove.json", "viewer.mcap"]

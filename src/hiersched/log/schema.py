@@ -214,7 +214,7 @@ TOPICS: Mapping[str, Topic] = MappingProxyType(
                 ("delay_capped", "<u4", ("R",)),
                 ("gain_delay_steps", "<u4", ("R",)),
                 ("state", "<f8", ("R", "N")),
-                ("reference", "<f8", ("R", 5)),
+                ("reference", "<f8", ("R", 5), True),
                 ("control", "<f8", ("R", "M")),
                 ("control_saturated", "<u4", ("R",)),
                 ("tracking_error_m", "<f8", ("R",)),

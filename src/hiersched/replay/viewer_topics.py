@@ -18,7 +18,7 @@ from google.protobuf.message_factory import GetMessageClass
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
-from hiersched.log import LogReader
+from hiersched.log import LogError, LogReader
 
 FRAME = "plane"
 IMAGE_TOPIC = "/allocation/image"
@@ -141,6 +141,13 @@ def _messages(log: LogReader) -> Iterator[tuple[str, Any, int]]:
 
 
 def _pose_messages(log: LogReader) -> Iterator[tuple[str, Any, int]]:
+    if log.profile != "full":
+        raise LogError(
+            log.path,
+            0,
+            f"poses need the reference, which the profile {log.profile} leaves out "
+            "(log.sweep_profile: full in the scenario keeps it)",
+        )
     robots = log.read("/robots", ["state", "reference"])
     poses = robot_poses(robots["state"], robots["reference"]), robots["reference"][..., :3]
     for index, slot in enumerate(robots["slot"].tolist()):
