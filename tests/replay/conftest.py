@@ -13,6 +13,7 @@ from hiersched.runs import paths
 from hiersched.runs.evaluate import evaluate
 from hiersched.runs.gain_study import gain_study
 from hiersched.runs.gains import design_gains
+from hiersched.runs.generalise import generalise
 from hiersched.runs.learned import LearnedRunner
 from hiersched.runs.policies import run_classical
 from hiersched.runs.sweep import sweep
@@ -34,6 +35,7 @@ learning: {seeds: [1], episodes: 4, slots_per_episode: 12, num_envs: 2, hidden: 
 evaluate: {seeds: [11, 12], duration_s: 0.4, policies: [ddpg, pf, edf, drift_plus_penalty]}
 sweeps: {seeds: [21], duration_s: 0.1, policies: [ddpg, pf], rayleigh_scale: [0.5],
          sampling_s: [0.02], reference: [arc], load: [0.9]}
+generalise: {seeds: [41], duration_s: 0.1, policies: [ddpg, pf], cells: [[3, 2, 6]]}
 gain_study: {seeds: [31], num_robots: 3, num_windows: 3, violation_windows: [2]}
 log: {chunk_bytes: 16384}
 """
@@ -58,6 +60,7 @@ def study(small: Scenario, tmp_path_factory: pytest.TempPathFactory) -> Path:
         evaluate(small, results, group, run)
         for axis in ("rayleigh_scale", "reference"):
             sweep(small, results, axis, group, run)
+        generalise(small, results, group, run)
     gain_study(small, results)
     return results
 

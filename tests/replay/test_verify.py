@@ -33,6 +33,7 @@ def test_every_log_of_a_study_is_what_the_simulator_computes(study: Path) -> Non
         ("train", "ddpg"): 1,
         **{("evaluate", policy): 2 for policy in ("ddpg", "pf", "edf", "drift_plus_penalty")},
         **{("sweep", policy): 2 for policy in ("ddpg", "pf")},
+        **{("generalise", policy): 1 for policy in ("ddpg", "pf")},
         ("gain_study", "none"): 2 + 5,  # nominal on both plants, five methods
     }
 

@@ -17,7 +17,7 @@ from hiersched.scenario import Scenario, ScenarioError, load_resolved
 from hiersched.simulator import Gains
 from hiersched.simulator.gains import loop_gains
 
-STAGES = ("train", "evaluate", "sweep", "gain_study")
+STAGES = ("train", "evaluate", "sweep", "generalise", "gain_study")
 _BATCH_SLOTS = 8192  # what is computed at once: memory for a few dozen megabytes of records
 
 
