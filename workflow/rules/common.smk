@@ -9,12 +9,11 @@ from hiersched.runs.fingerprint import KERNEL_MODULE, code_fingerprint
 from hiersched.runs.gain_points import GAIN_SWEEPS
 from hiersched.runs.variants import (
     CLASSICAL_GROUP,
-    GROUPS,
-    LEARNED_GROUP,
     SWEPT_KEYS,
     check_variants,
     gain_designs,
     group_policies,
+    policy_groups,
     swept_policies,
 )
 from hiersched.scenario import (
@@ -81,14 +80,23 @@ def script(name):
     return Path("workflow/scripts") / f"{name}.py"
 
 
-def groups_of(policies):
+def groups_of(scenario, policies):
     """The groups that a list of policies needs."""
-    return [group for group in GROUPS if group_policies(policies, group)]
+    return [group for group in policy_groups(scenario) if group_policies(scenario, policies, group)]
 
 
 def weights(scenario, group):
     """What a group of policies needs of the training."""
-    return inside(scenario, paths.policy_files(scenario)) if group == LEARNED_GROUP else []
+    if group == CLASSICAL_GROUP:
+        return []
+    return inside(scenario, paths.policy_files(scenario, group))
+
+
+def runner(stage, group):
+    """Script of a stage for a group of policies, and its further arguments."""
+    if group == CLASSICAL_GROUP:
+        return f"{stage}_classical", []
+    return f"{stage}_learned", ["--learner", group]
 
 
 # No job reads the resolved scenario that `rule resolve` writes: as an input it would make every job run whenever any

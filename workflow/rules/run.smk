@@ -2,7 +2,8 @@
 # Shell commands are formatted when a job runs, long after the loops: what differs from rule to rule is in `args`.
 
 for s in SCENARIOS:
-    for group in groups_of(s.evaluate.policies):
+    for group in groups_of(s, s.evaluate.policies):
+        name, more = runner("evaluate", group)
 
         rule:
             name:
@@ -22,16 +23,17 @@ for s in SCENARIOS:
                 spec=spec.stage_spec(
                     f"evaluate_{group}",
                     spec.evaluate_values(s, group),
-                    script(f"evaluate_{group}"),
+                    script(name),
                 ),
-                args=arguments(f"evaluate_{group}", s),
+                args=arguments(name, s, *more),
             message:
                 f"Evaluating policies of {s.name}: {group}"
             shell:
                 "{sys.executable} {params.args} > {log} 2>&1"
 
     for axis in SWEPT_KEYS:
-        for group in groups_of(swept_policies(s, axis)):
+        for group in groups_of(s, swept_policies(s, axis)):
+            name, more = runner("sweep", group)
 
             rule:
                 name:
@@ -51,15 +53,16 @@ for s in SCENARIOS:
                     spec=spec.stage_spec(
                         f"sweep_{axis}_{group}",
                         spec.sweep_values(s, axis, group),
-                        script(f"sweep_{group}"),
+                        script(name),
                     ),
-                    args=arguments(f"sweep_{group}", s, "--axis", axis),
+                    args=arguments(name, s, *more, "--axis", axis),
                 message:
                     f"Sweeping {axis} of {s.name}: {group}"
                 shell:
                     "{sys.executable} {params.args} > {log} 2>&1"
 
-    for group in groups_of(s.generalise.policies):
+    for group in groups_of(s, s.generalise.policies):
+        name, more = runner("generalise", group)
 
         rule:
             name:
@@ -79,9 +82,9 @@ for s in SCENARIOS:
                 spec=spec.stage_spec(
                     f"generalise_{group}",
                     spec.cell_values(s, group),
-                    script(f"generalise_{group}"),
+                    script(name),
                 ),
-                args=arguments(f"generalise_{group}", s),
+                args=arguments(name, s, *more),
             message:
                 f"Running policies of {s.name} in cells of other sizes: {group}"
             shell:
@@ -93,7 +96,11 @@ for s in SCENARIOS:
         input:
             kernels=KERNELS,
             gains=f"{folder(s)}/{paths.gain_file('schedule')}",
-            logs=[name for group in GROUPS for name in inside(s, paths.evaluation_logs(s, group))],
+            logs=[
+                log
+                for group in policy_groups(s)
+                for log in inside(s, paths.evaluation_logs(s, group))
+            ],
         output:
             ensure(f"{folder(s)}/{paths.BOUND}", non_empty=True),
         log:

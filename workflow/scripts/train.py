@@ -1,4 +1,4 @@
-"""Train the agents of all seeds."""
+"""Train the agents of all seeds of a learner."""
 
 import argparse
 from pathlib import Path
@@ -12,8 +12,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenario", type=Path, required=True)
     parser.add_argument("--results", type=Path, required=True)
+    parser.add_argument("--learner", required=True)
     args = parser.parse_args()
-    train_and_log(load_scenario(args.scenario), args.results, code_fingerprint(Path(__file__)))
+    code = code_fingerprint(Path(__file__))
+    train_and_log(load_scenario(args.scenario), args.learner, args.results, code)
 
 
 if __name__ == "__main__":

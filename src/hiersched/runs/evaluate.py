@@ -22,14 +22,14 @@ def evaluate(scenario: Scenario, results: Path, group: str, run: PolicyRunner) -
     results
         Folder of the study; the scenario's gain schedule lies in it.
     group
-        Which policies: one of `variants.GROUPS`.
+        Which policies: one of `variants.policy_groups`.
     run
         How they are run.
     """
     schedule, gains = load_gains(results / paths.gain_file("schedule"), scenario)
     num_slots = round(scenario.evaluate.duration_s / scenario.radio.slot_s)
     seeds = scenario.evaluate.seeds
-    for policy in group_policies(scenario.evaluate.policies, group):
+    for policy in group_policies(scenario, scenario.evaluate.policies, group):
         files = {seed: results / paths.evaluation_log(policy, seed) for seed in seeds}
         clear_logs(files[seeds[0]].parent, set(files.values()))
         for world in run(scenario, gains, policy, "evaluate", seeds, num_slots):

@@ -22,7 +22,7 @@ def generalise(scenario: Scenario, results: Path, group: str, run: PolicyRunner)
     results
         Folder of the study; the scenario's gain schedule lies in it.
     group
-        Which policies: one of `variants.GROUPS`.
+        Which policies: one of `variants.policy_groups`.
     run
         How they are run.
     """
@@ -34,7 +34,7 @@ def generalise(scenario: Scenario, results: Path, group: str, run: PolicyRunner)
     for cell in scenario.generalise.cells:
         variant = cell_scenario(scenario, cell)
         schedule, gains = load_gains(results / paths.gain_file("schedule"), variant)
-        policies = group_policies(scenario.generalise.policies, group)
+        policies = group_policies(scenario, scenario.generalise.policies, group)
         for policy in policies:
             for world in run(variant, gains, policy, "generalise", seeds, num_slots):
                 with open_log(

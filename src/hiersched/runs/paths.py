@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from hiersched.runs.gain_points import GAIN_SWEEPS, gain_points
 from hiersched.runs.variants import (
-    GROUPS,
-    LEARNED_GROUP,
     STUDY_GAINS,
     SWEPT_KEYS,
     Cell,
@@ -14,6 +12,7 @@ from hiersched.runs.variants import (
     design_of,
     gain_designs,
     group_policies,
+    policy_groups,
     study_scenario,
     swept_policies,
     swept_scenario,
@@ -26,7 +25,6 @@ from hiersched.scenario import Scenario
 SCENARIO = "scenario.yaml"
 CHECKPOINTS = "checkpoints"
 STABILITY = "gains/stability.json"
-PROGRESS = f"train/{LEARNED_GROUP}/progress.csv"
 
 RUNS = "tables/runs.csv"
 BOUND = "bound/slots.csv"
@@ -40,6 +38,8 @@ FIGURES = (
     "fig6_sampling",
     "fig7_dexterity",
     "fig8_violations",
+    "figX_learning",
+    "figX_learners",
     "figX_load",
     "figX_delay",
     "figX_pareto",
@@ -60,6 +60,7 @@ TABLES = (
     "comparison",
     "sweeps",
     "scores",
+    "learners",
     "generalisation",
     "bound",
     "gains",
@@ -91,24 +92,34 @@ def swept_gain_files(scenario: Scenario, axis: str) -> list[str]:
     return list(dict.fromkeys(swept_gain_file(scenario, axis, value) for value in values))
 
 
-def policy_file(seed: int) -> str:
+def progress_file(learner: str) -> str:
+    """Learning curves of a learner."""
+    return f"train/{learner}/progress.csv"
+
+
+def policy_file(learner: str, seed: int) -> str:
     """Weights of the policy of a training seed."""
-    return f"train/{LEARNED_GROUP}/policy_seed{seed}.pt"
+    return f"train/{learner}/policy_seed{seed}.pt"
 
 
-def policy_files(scenario: Scenario) -> list[str]:
-    """List the weights of all training seeds."""
-    return [policy_file(seed) for seed in scenario.learning.seeds]
+def policy_files(scenario: Scenario, learner: str) -> list[str]:
+    """List the weights of all training seeds of a learner."""
+    return [policy_file(learner, seed) for seed in scenario.learned[learner].seeds]
 
 
-def training_log(seed: int) -> str:
+def training_log(learner: str, seed: int) -> str:
     """Log of the training of one seed."""
-    return f"train/{LEARNED_GROUP}/seed{seed}.mcap"
+    return f"train/{learner}/seed{seed}.mcap"
 
 
-def training_logs(scenario: Scenario) -> list[str]:
-    """List the logs of the training of all seeds."""
-    return [training_log(seed) for seed in scenario.learning.seeds]
+def training_logs(scenario: Scenario, learner: str) -> list[str]:
+    """List the logs of the training of all seeds of a learner."""
+    return [training_log(learner, seed) for seed in scenario.learned[learner].seeds]
+
+
+def all_training_logs(scenario: Scenario) -> list[str]:
+    """List the logs of the training of all learners."""
+    return [name for learner in scenario.learned for name in training_logs(scenario, learner)]
 
 
 def evaluation_log(policy: str, seed: int) -> str:
@@ -120,7 +131,7 @@ def evaluation_logs(scenario: Scenario, group: str) -> list[str]:
     """List the logs of the evaluation of a group of policies."""
     return [
         evaluation_log(policy, seed)
-        for policy in group_policies(scenario.evaluate.policies, group)
+        for policy in group_policies(scenario, scenario.evaluate.policies, group)
         for seed in scenario.evaluate.seeds
     ]
 
@@ -134,7 +145,7 @@ def sweep_logs(scenario: Scenario, axis: str, group: str) -> list[str]:
     """List the logs of a group of policies along a sweep."""
     return [
         sweep_log(axis, policy, value, seed)
-        for policy in group_policies(swept_policies(scenario, axis), group)
+        for policy in group_policies(scenario, swept_policies(scenario, axis), group)
         for value in swept_values(scenario, axis)
         for seed in scenario.sweeps.seeds
     ]
@@ -150,7 +161,7 @@ def cell_logs(scenario: Scenario, group: str) -> list[str]:
     return [
         cell_log(cell, policy, seed)
         for cell in scenario.generalise.cells
-        for policy in group_policies(scenario.generalise.policies, group)
+        for policy in group_policies(scenario, scenario.generalise.policies, group)
         for seed in scenario.generalise.seeds
     ]
 
@@ -207,15 +218,15 @@ def stability_gain_files(scenario: Scenario) -> list[str]:
 
 def claim_logs(scenario: Scenario) -> list[str]:
     """List the logs that the claims read besides the table of all runs."""
-    return [*training_logs(scenario), *gain_study_logs(scenario)]
+    return [*all_training_logs(scenario), *gain_study_logs(scenario)]
 
 
 def all_logs(scenario: Scenario) -> list[str]:
     """List every log of a study."""
-    names = [*training_logs(scenario), *gain_study_logs(scenario)]
+    names = claim_logs(scenario)
     for axis in GAIN_SWEEPS:
         names += gain_sweep_logs(scenario, axis)
-    for group in GROUPS:
+    for group in policy_groups(scenario):
         names += evaluation_logs(scenario, group)
         names += cell_logs(scenario, group)
         for axis in SWEPT_KEYS:

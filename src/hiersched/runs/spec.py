@@ -12,7 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from hiersched.runs.fingerprint import code_fingerprint
-from hiersched.runs.variants import SWEPT_KEYS, gain_designs, group_policies, swept_policies
+from hiersched.runs.variants import (
+    SWEPT_KEYS,
+    gain_designs,
+    group_policies,
+    learner_scenario,
+    swept_policies,
+)
 from hiersched.scenario import Scenario, scenario_to_dict
 
 _LOG_FORM = ("log.compression", "log.chunk_bytes")
@@ -136,14 +142,14 @@ def gains_values(scenario: Scenario, design: str) -> dict[str, Any]:
     return picked(gain_designs(scenario)[design], KEYS["gains"])
 
 
-def train_values(scenario: Scenario) -> dict[str, Any]:
-    """Pick what training depends on."""
-    return picked(scenario, KEYS["train"])
+def train_values(scenario: Scenario, learner: str) -> dict[str, Any]:
+    """Pick what the training of a learner depends on: not the other learners."""
+    return picked(learner_scenario(scenario, learner), KEYS["train"])
 
 
 def evaluate_values(scenario: Scenario, group: str) -> dict[str, Any]:
     """Pick what the evaluation of a group of policies depends on, besides its gains and weights."""
-    policies = group_policies(scenario.evaluate.policies, group)
+    policies = group_policies(scenario, scenario.evaluate.policies, group)
     return {**picked(scenario, KEYS["evaluate"]), "policies": sorted(policies)}
 
 
@@ -152,13 +158,13 @@ def sweep_values(scenario: Scenario, axis: str, group: str) -> dict[str, Any]:
     values = picked(scenario, (*KEYS["sweep"], f"sweeps.{axis}"))
     if axis != "sampling_s":  # control.sampling_s says which schedule is the scenario's own
         del values[SWEPT_KEYS[axis]]
-    policies = group_policies(swept_policies(scenario, axis), group)
+    policies = group_policies(scenario, swept_policies(scenario, axis), group)
     return {**values, "policies": sorted(policies)}
 
 
 def cell_values(scenario: Scenario, group: str) -> dict[str, Any]:
     """Pick what a group of policies in cells of other sizes depends on."""
-    policies = group_policies(scenario.generalise.policies, group)
+    policies = group_policies(scenario, scenario.generalise.policies, group)
     return {**picked(scenario, KEYS["generalise"]), "policies": sorted(policies)}
 
 

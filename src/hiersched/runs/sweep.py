@@ -30,12 +30,12 @@ def sweep(scenario: Scenario, results: Path, axis: str, group: str, run: PolicyR
     axis
         One of `variants.SWEPT_KEYS`.
     group
-        Which policies: one of `variants.GROUPS`.
+        Which policies: one of `variants.policy_groups`.
     run
         How they are run.
     """
     seeds = scenario.sweeps.seeds
-    policies = group_policies(swept_policies(scenario, axis), group)
+    policies = group_policies(scenario, swept_policies(scenario, axis), group)
     wanted = {results / name for name in paths.sweep_logs(scenario, axis, group)}
     for folder in {path.parent for path in wanted}:
         clear_logs(folder, wanted)

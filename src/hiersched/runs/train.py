@@ -17,6 +17,7 @@ from hiersched.log import LogReader, LogWriter
 from hiersched.runs import paths
 from hiersched.runs.gains import load_gains
 from hiersched.runs.logging import RunLabel, clear_logs, log_block, open_log
+from hiersched.runs.variants import learner_scenario
 from hiersched.scenario import Scenario, scenario_sha256
 
 
@@ -31,6 +32,8 @@ class RoundLogs:
         Section `learning` decides.
     schedule
         Gain schedule in force.
+    learner
+        Whose training it is.
     folder
         Where the files go.
     first_round
@@ -38,9 +41,15 @@ class RoundLogs:
     """
 
     def __init__(
-        self, scenario: Scenario, schedule: GainSchedule, folder: Path, first_round: int
+        self,
+        scenario: Scenario,
+        schedule: GainSchedule,
+        learner: str,
+        folder: Path,
+        first_round: int,
     ) -> None:
         self._scenario = scenario
+        self._learner = learner
         self._schedule = schedule
         self._folder = folder
         num_seeds = len(scenario.learning.seeds)
@@ -96,7 +105,7 @@ class RoundLogs:
             path,
             self._scenario,
             self._schedule,
-            RunLabel(stage="train", policy=learning.algorithm, seed=learning.seeds[seed_index]),
+            RunLabel(stage="train", policy=self._learner, seed=learning.seeds[seed_index]),
             profile=self._scenario.log.train_profile,
             metadata={
                 "slots_per_episode": str(learning.slots_per_episode),
@@ -108,13 +117,17 @@ class RoundLogs:
         )
 
 
-def train_and_log(scenario: Scenario, results: Path, code: str, *, show: bool = True) -> None:
-    """Train all seeds; write policies, progress and the log of every slot.
+def train_and_log(
+    study: Scenario, learner: str, results: Path, code: str, *, show: bool = True
+) -> None:
+    """Train all seeds of a learner; write policies, progress and the log of every slot.
 
     Parameters
     ----------
-    scenario
-        Section `learning` decides.
+    study
+        The scenario.
+    learner
+        One of `study.learned`.
     results
         Folder of the study; the scenario's gain schedule lies in it.
     code
@@ -123,14 +136,15 @@ def train_and_log(scenario: Scenario, results: Path, code: str, *, show: bool = 
     show
         Whether to show progress on the terminal.
     """
+    scenario = learner_scenario(study, learner)
     schedule, gains = load_gains(results / paths.gain_file("schedule"), scenario)
-    checkpoint = _checkpoint_folder(results, scenario, code) / "training.pt"
+    checkpoint = _checkpoint_folder(results, scenario, learner, code) / "training.pt"
     done = 0
     if checkpoint.exists():
         done = int(load_checkpoint(checkpoint, scenario_sha256(scenario))["trainer"]["round"])
         print(f"going on after round {done} of {checkpoint}", flush=True)
-    logs = RoundLogs(scenario, schedule, checkpoint.parent, done)
-    progress = results / paths.PROGRESS
+    logs = RoundLogs(scenario, schedule, learner, checkpoint.parent, done)
+    progress = results / paths.progress_file(learner)
     progress.parent.mkdir(parents=True, exist_ok=True)
     policies = train(
         scenario,
@@ -140,22 +154,22 @@ def train_and_log(scenario: Scenario, results: Path, code: str, *, show: bool = 
         checkpoint=checkpoint,
         show=show,
     )
-    wanted = {results / name for name in paths.training_logs(scenario)}
+    wanted = {results / name for name in paths.training_logs(study, learner)}
     clear_logs(progress.parent, wanted)
     for index, policy in enumerate(policies):
-        weights = results / paths.policy_file(policy.seed)
+        weights = results / paths.policy_file(learner, policy.seed)
         policy.save(weights)
         logs.join(
             index,
-            results / paths.training_log(policy.seed),
+            results / paths.training_log(learner, policy.seed),
             {weights.name: weights.read_bytes()},
         )
     shutil.rmtree(checkpoint.parents[1])
 
 
-def _checkpoint_folder(results: Path, scenario: Scenario, code: str) -> Path:
-    """Make the folder of this very training, and remove those of others."""
-    folder = results / paths.CHECKPOINTS / f"{scenario_sha256(scenario)[:16]}_{code[:16]}"
+def _checkpoint_folder(results: Path, scenario: Scenario, learner: str, code: str) -> Path:
+    """Make the folder of this very training, and remove those of the learner's others."""
+    folder = results / paths.CHECKPOINTS / learner / f"{scenario_sha256(scenario)[:16]}_{code[:16]}"
     if folder.parent.exists():
         for other in folder.parent.iterdir():
             if other != folder:

@@ -33,14 +33,9 @@ STUDY_PLANTS: dict[GainMethod, Literal["network", "split"]] = {
 """Method of the gain study -> the plant that it is for."""
 
 CLASSICAL_GROUP = "classical"
-LEARNED_GROUP = "ddpg"
-LEARNED = ("ddpg", "a2c")
-"""Policies that are trained; a scenario has the one that `learning.algorithm` names."""
+"""Policies that need no training share a job; each learner's have one of their own."""
 
 STUDY_GAINS: tuple[Gain, ...] = ("nominal", "adjusted")
-
-GROUPS = (CLASSICAL_GROUP, LEARNED_GROUP)
-"""Policies that share a job: those that need no training, and the learned one (either kind)."""
 
 
 def value_text(value: float | str) -> str:
@@ -219,9 +214,29 @@ def _designed_for(control: Control) -> Control:
     return replace(control, gain="adjusted", hold_samples=0)
 
 
-def group_policies(policies: tuple[str, ...], group: str) -> tuple[str, ...]:
+def learner_scenario(scenario: Scenario, learner: str) -> Scenario:
+    """Return the scenario as one learner trains in it: its section `learning`, and no others.
+
+    Raises
+    ------
+    ValueError
+        If there is no such learner.
+    """
+    if learner not in scenario.learned:
+        raise ValueError(f"learner = {learner!r}: must be one of {', '.join(scenario.learned)}")
+    return replace(scenario, learning=scenario.learned[learner], learners={})
+
+
+def policy_groups(scenario: Scenario) -> tuple[str, ...]:
+    """List the groups of policies that share a job: the schedulers, and every learner."""
+    return (CLASSICAL_GROUP, *scenario.learned)
+
+
+def group_policies(scenario: Scenario, policies: tuple[str, ...], group: str) -> tuple[str, ...]:
     """Return the policies of a list that belong to a group, in their order."""
-    return tuple(policy for policy in policies if (policy in LEARNED) == (group == LEARNED_GROUP))
+    if group == CLASSICAL_GROUP:
+        return tuple(policy for policy in policies if policy not in scenario.learned)
+    return tuple(policy for policy in policies if policy == group)
 
 
 def check_variants(scenario: Scenario) -> None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import get_args
 
 import numpy as np
 
 from hiersched.scenario.linear import linear_faults
 from hiersched.scenario.reference_file import reference_faults
-from hiersched.scenario.schema import Scenario, delay_steps
+from hiersched.scenario.schema import Learning, Scenario, SchedulerName, delay_steps
 
 LEAST_SNR_DB = -80.0
 """Below it, a PRB in a deep fade could carry exactly 0 bit/s, and no logarithm of a rate exists."""
@@ -32,7 +33,7 @@ def inconsistencies(scenario: Scenario) -> list[str]:
         *reference_faults(scenario),
         *linear_faults(scenario),
         *_arrivals(scenario),
-        *_learning(scenario),
+        *_learners(scenario),
         *_studies(scenario),
         *_cells(scenario),
     ]
@@ -163,33 +164,50 @@ def _arrivals(scenario: Scenario) -> list[str]:
     return faults
 
 
-def _learning(scenario: Scenario) -> list[str]:
-    learning = scenario.learning
+def _learners(scenario: Scenario) -> list[str]:
+    faults = _learning(scenario, "learning", scenario.learning)
+    taken = {scenario.learning.algorithm: "learning.algorithm"}
+    taken |= dict.fromkeys(get_args(SchedulerName), "a scheduler")
+    for name, learner in scenario.learners.items():
+        if name in taken:
+            faults.append(f"learners.{name}: the name of {taken[name]}: must be another one")
+        if learner.reward_scale != scenario.learning.reward_scale:
+            faults.append(
+                f"learners.{name}.reward_scale = {learner.reward_scale}: must be "
+                f"learning.reward_scale = {scenario.learning.reward_scale}, so that rewards compare"
+            )
+        faults += _learning(scenario, f"learners.{name}", learner)
+    return faults
+
+
+def _learning(scenario: Scenario, section: str, learning: Learning) -> list[str]:
     faults = []
+    if len(set(learning.seeds)) != len(learning.seeds):
+        faults.append(f"{section}.seeds = {list(learning.seeds)}: every seed once")
     if learning.episodes % learning.num_envs:
         faults.append(
-            f"learning.episodes = {learning.episodes}: must be a multiple of "
-            f"learning.num_envs = {learning.num_envs}"
+            f"{section}.episodes = {learning.episodes}: must be a multiple of "
+            f"{section}.num_envs = {learning.num_envs}"
         )
     round_slots = learning.num_envs * learning.slots_per_episode
     if learning.replay_capacity < round_slots:
         faults.append(
-            f"learning.replay_capacity = {learning.replay_capacity}: at least "
-            f"learning.num_envs * learning.slots_per_episode = {round_slots}"
+            f"{section}.replay_capacity = {learning.replay_capacity}: at least "
+            f"{section}.num_envs * {section}.slots_per_episode = {round_slots}"
         )
     if learning.observe_robots and scenario.control.plant == "linear":
         faults.append(
-            "learning.observe_robots = true: must be false where control.plant = linear, whose "
+            f"{section}.observe_robots = true: must be false where control.plant = linear, whose "
             "robots have no position"
         )
     if learning.start == "drift_plus_penalty" and learning.algorithm == "ddpg":
         faults.append(
-            "learning.start = drift_plus_penalty: must be pf or max_weight with learning.algorithm "
-            "= ddpg, whose actors need the gradient of the allocation"
+            f"{section}.start = drift_plus_penalty: must be pf or max_weight with "
+            f"{section}.algorithm = ddpg, whose actors need the gradient of the allocation"
         )
     if learning.batch_size > learning.replay_capacity:
         faults.append(
-            f"learning.batch_size = {learning.batch_size}: at most learning.replay_capacity = "
+            f"{section}.batch_size = {learning.batch_size}: at most {section}.replay_capacity = "
             f"{learning.replay_capacity}"
         )
     return faults
@@ -202,7 +220,6 @@ def _studies(scenario: Scenario) -> list[str]:
         "sweeps.seeds": scenario.sweeps.seeds,
         "generalise.seeds": scenario.generalise.seeds,
         "gain_study.seeds": scenario.gain_study.seeds,
-        "learning.seeds": scenario.learning.seeds,
     }
     for key, seeds in held_out.items():
         if len(set(seeds)) != len(seeds):
@@ -246,12 +263,24 @@ def _studies(scenario: Scenario) -> list[str]:
             )
         if len(set(section.policies)) != len(section.policies):
             faults.append(f"{name}.policies = {list(section.policies)}: every policy once")
-        faults.extend(
-            f"{name}.policies = {list(section.policies)}: {policy} is not trained where "
-            f"learning.algorithm = {scenario.learning.algorithm}"
-            for policy in ("ddpg", "a2c")
-            if policy in section.policies and policy != scenario.learning.algorithm
-        )
+        faults.extend(_policies(scenario, f"{name}.policies", section.policies))
+    return faults
+
+
+def _policies(scenario: Scenario, key: str, policies: tuple[str, ...]) -> list[str]:
+    """Policies that nobody is: neither a scheduler nor a learner of the scenario."""
+    known = [*scenario.learned, *get_args(SchedulerName)]
+    faults = []
+    for policy in policies:
+        if policy in ("ddpg", "a2c") and policy not in known:
+            faults.append(
+                f"{key} = {list(policies)}: {policy} is not trained where learning.algorithm = "
+                f"{scenario.learning.algorithm} (and learners has none of this name)"
+            )
+        elif policy not in known:
+            faults.append(
+                f"{key} = {list(policies)}: {policy} is no policy; allowed: {', '.join(known)}"
+            )
     return faults
 
 

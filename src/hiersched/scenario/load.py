@@ -129,7 +129,7 @@ def _describe(
 def _allowed_keys(section: str | int | None) -> list[str]:
     if section is None:
         return [field.name for field in fields(Scenario)]
-    return list(_KEYS_OF_SECTION.get(str(section), ()))
+    return list(_KEYS_OF_SECTION.get("learning" if section == "learners" else str(section), ()))
 
 
 def _keys_of_sections() -> dict[str, tuple[str, ...]]:
@@ -203,6 +203,20 @@ def _with_points(merged: dict[str, Any], path: Path) -> dict[str, Any]:
     return {**merged, "robot": {**robot, "reference_points": [list(point) for point in points]}}
 
 
+def _with_learners(merged: dict[str, Any]) -> dict[str, Any]:
+    """Fill in what learners leave to the section `learning`."""
+    base, learners = merged.get("learning"), merged.get("learners")
+    if not isinstance(base, dict) or not isinstance(learners, dict):
+        return merged  # validation says what is wrong
+    whole = {
+        name: _merge(base, {} if own is None else own)
+        if own is None or isinstance(own, dict)
+        else own
+        for name, own in learners.items()
+    }
+    return {**merged, "learners": whole}
+
+
 def load_scenario(name_or_path: str | Path, *, defaults: Path | None = None) -> Scenario:
     """Load, merge and validate a scenario.
 
@@ -224,7 +238,7 @@ def load_scenario(name_or_path: str | Path, *, defaults: Path | None = None) -> 
     path = find_scenario(name_or_path)
     defaults = defaults if defaults is not None else _find_defaults(path)
     overlay = _read_yaml(path)
-    merged = _with_points(_merge(_read_yaml(defaults), overlay), path)
+    merged = _with_learners(_with_points(_merge(_read_yaml(defaults), overlay), path))
     merged.setdefault("name", path.stem)
     return _validate(merged, overlay, path, defaults)
 
@@ -282,7 +296,7 @@ def load_resolved(text: str, origin: Path) -> tuple[Scenario, tuple[str, ...], s
     if not missing:
         return _validate(written, written, origin, origin), (), sha256
     defaults = _find_defaults(origin)
-    merged = _merge(_read_yaml(defaults), written)
+    merged = _with_learners(_merge(_read_yaml(defaults), written))
     return _validate(merged, written, origin, defaults), tuple(missing), sha256
 
 

@@ -16,9 +16,7 @@ Count = Annotated[int, Field(ge=1)]
 Seed = Annotated[int, Field(ge=0, lt=2**31)]
 GainMethod = Literal["krasovskii", "razumikhin", "predictor", "latency_compensated", "h2"]
 Reference = Literal["straight", "arc", "figure_eight", "zigzag", "file"]
-PolicyName = Literal[
-    "ddpg",
-    "a2c",
+SchedulerName = Literal[
     "pf",
     "pf_average",
     "round_robin",
@@ -31,6 +29,9 @@ PolicyName = Literal[
     "drift_plus_penalty",
     "exact",
 ]
+LearnerName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+PolicyName = LearnerName
+"""A scheduler or a learner; `consistency` knows which there are."""
 NonEmpty = Field(min_length=1)
 Matrix = Annotated[tuple[Annotated[tuple[float, ...], NonEmpty], ...], NonEmpty]
 
@@ -291,6 +292,7 @@ class Scenario:
     control: Control
     linear_plant: LinearPlant
     learning: Learning
+    learners: dict[LearnerName, Learning]
     evaluate: Evaluation
     sweeps: Sweeps
     bound: Bound
@@ -302,6 +304,11 @@ class Scenario:
     def num_users(self) -> int:
         """Users of both slices, URLLC first."""
         return self.users.num_urllc + self.users.num_embb
+
+    @property
+    def learned(self) -> dict[str, Learning]:
+        """Every learner by the name of its policies: the scenario's own, `learners` after it."""
+        return {self.learning.algorithm: self.learning, **self.learners}
 
     @property
     def robot_sizes(self) -> tuple[int, int, int]:

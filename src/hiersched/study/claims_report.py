@@ -13,7 +13,7 @@ import pandas as pd
 
 from hiersched.scenario import Scenario
 from hiersched.study.claims import judge
-from hiersched.study.collect import gain_frame, training_frame
+from hiersched.study.collect import gain_frame, training_frames
 from hiersched.study.conditions import Frames
 from hiersched.study.files import write_bytes
 from hiersched.study.statistics import LEVEL
@@ -55,7 +55,7 @@ def write_claims(results_dir: str | os.PathLike[str], scenario: Scenario) -> lis
     runs = pd.read_csv(table, dtype={"axis": str, "value": str})
     swept = runs["axis"].notna()
     frames = Frames(
-        training={scenario.learning.algorithm: training_frame(results, scenario)},
+        training=training_frames(results, scenario),
         runs=runs[~swept],
         sweeps=runs[swept],
         gains=gain_frame(results, scenario),

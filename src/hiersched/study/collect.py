@@ -132,14 +132,19 @@ def attached_schedule(path: Path) -> GainSchedule:
     return GainSchedule.from_json(text.decode())
 
 
-def training_frame(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
+def training_frames(results_dir: Path, scenario: Scenario) -> dict[str, pd.DataFrame]:
+    """Read the training of every learner, the scenario's own first: frames of `training_frame`."""
+    return {name: training_frame(results_dir, scenario, name) for name in scenario.learned}
+
+
+def training_frame(results_dir: Path, scenario: Scenario, learner: str) -> pd.DataFrame:
     """Read rewards and backlogs of every training episode, mean over its slots (and users).
 
     Returns
     -------
     DataFrame
         Columns seed, episode (1 = the first), urllc_reward, embb_reward, urllc_backlog_packets,
-        embb_backlog_packets.
+        embb_backlog_packets, urllc_late_share (late packets over due packets of the episode).
 
     Raises
     ------
@@ -147,24 +152,36 @@ def training_frame(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
         If a log does not consist of whole episodes.
     """
     frames = []
-    for seed in scenario.learning.seeds:
-        path = results_dir / "train" / scenario.learning.algorithm / f"seed{seed}.mcap"
+    learning = scenario.learned[learner]
+    for seed in learning.seeds:
+        path = results_dir / paths.training_log(learner, seed)
         with LogReader(_existing(path), verify="chunks") as log:
-            length = int(log.metadata.get("slots_per_episode", scenario.learning.slots_per_episode))
-            reward = log.read("/delay", ["reward_urllc", "reward_embb"])
-            backlog = log.read("/queue", ["backlog_packets"])["backlog_packets"]
-            urllc = log.dims.num_urllc
-        if not len(backlog) or len(backlog) % length:
-            raise LogError(path, 0, f"{len(backlog)} slots are no whole episodes of {length} slots")
-        columns = {
-            "urllc_reward": _by_episode(reward["reward_urllc"], length),
-            "embb_reward": _by_episode(reward["reward_embb"], length),
-            "urllc_backlog_packets": _by_episode(backlog[:, :urllc], length),
-            "embb_backlog_packets": _by_episode(backlog[:, urllc:], length),
-        }
-        episode = np.arange(1, len(backlog) // length + 1)
+            length = int(log.metadata.get("slots_per_episode", learning.slots_per_episode))
+            if not log.num_slots or log.num_slots % length:
+                raise LogError(
+                    path, 0, f"{log.num_slots} slots are no whole episodes of {length} slots"
+                )
+            columns = _training_columns(log, length)
+            episode = np.arange(1, log.num_slots // length + 1)
         frames.append(pd.DataFrame({"seed": seed, "episode": episode, **columns}))
     return pd.concat(frames, ignore_index=True)
+
+
+def _training_columns(log: LogReader, length: int) -> dict[str, NDArray[Any]]:
+    """Return the columns of `training_frame`, one value an episode of `length` slots."""
+    urllc = log.dims.num_urllc
+    delay = log.read("/delay", ["reward_urllc", "reward_embb", "due_packets", "late_packets"])
+    backlog = log.read("/queue", ["backlog_packets"])["backlog_packets"]
+    late, due = (
+        _by_episode(delay[name][:, :urllc], length) for name in ("late_packets", "due_packets")
+    )
+    return {
+        "urllc_reward": _by_episode(delay["reward_urllc"], length),
+        "embb_reward": _by_episode(delay["reward_embb"], length),
+        "urllc_backlog_packets": _by_episode(backlog[:, :urllc], length),
+        "embb_backlog_packets": _by_episode(backlog[:, urllc:], length),
+        "urllc_late_share": np.divide(late, due, out=np.full(len(due), np.nan), where=due > 0),
+    }
 
 
 def read_evaluation(

@@ -8,7 +8,7 @@ from typing import NamedTuple, TypeAlias
 
 import pandas as pd
 
-from hiersched.runs.variants import CLASSICAL_GROUP, SWEPT_KEYS, group_policies
+from hiersched.runs.variants import SWEPT_KEYS
 from hiersched.scenario import Scenario
 from hiersched.study.verdicts import Condition, Statement
 
@@ -26,10 +26,7 @@ class Frames(NamedTuple):
 
 def learned_policies(scenario: Scenario) -> list[str]:
     """Return the evaluated policies that are learned, the scenario's own algorithm first."""
-    policies = scenario.evaluate.policies
-    classical = group_policies(policies, CLASSICAL_GROUP)
-    learned = [policy for policy in policies if policy not in classical]
-    return sorted(learned, key=lambda policy: policy != scenario.learning.algorithm)
+    return [name for name in scenario.learned if name in scenario.evaluate.policies]
 
 
 def trained(

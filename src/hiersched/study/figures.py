@@ -14,7 +14,7 @@ from hiersched.study.collect import (
     evaluation_frame,
     gain_frame,
     sweep_frame,
-    training_frame,
+    training_frames,
 )
 from hiersched.study.figures_delay import draw_violations
 from hiersched.study.figures_gain import draw_gain
@@ -24,6 +24,7 @@ from hiersched.study.figures_gain_sweeps import (
     draw_gain_sweeps,
     draw_gain_traces,
 )
+from hiersched.study.figures_learners import draw_learners, draw_learning
 from hiersched.study.figures_rates import (
     draw_dexterity,
     draw_rate_cdf,
@@ -80,7 +81,8 @@ def draw_figures(results_dir: str | os.PathLike[str], scenario: Scenario) -> lis
 
 def build_figures(results: Path, scenario: Scenario) -> Mapping[str, Callable[[], Figure]]:
     """Read the logs and return what draws each figure, by file name; call it in `house_style`."""
-    training = training_frame(results, scenario)
+    learners = training_frames(results, scenario)
+    training = learners[scenario.learning.algorithm]
     runs = evaluation_frame(results, scenario)
     policies = policy_table(runs, scenario)
     sweeps = sweep_table(sweep_frame(results, scenario), scenario)
@@ -99,6 +101,8 @@ def build_figures(results: Path, scenario: Scenario) -> Mapping[str, Callable[[]
         "fig6_sampling": lambda: draw_sampling(sweeps, scenario),
         "fig7_dexterity": lambda: draw_dexterity(sweeps, scenario),
         "fig8_violations": lambda: draw_violations(policies, runs, tails, scenario),
+        "figX_learning": lambda: draw_learning(learners, scenario),
+        "figX_learners": lambda: draw_learners(sweeps, scenario),
         "figX_load": lambda: draw_load(sweeps, scenario),
         "figX_delay": lambda: draw_delay(tails, scenario),
         "figX_pareto": lambda: draw_pareto(policies, scenario),

@@ -37,8 +37,11 @@ _LOAD_PANELS = (
 
 
 def draw_load(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
-    """Draw late share, tracking error, cost and eMBB rate of all policies against the load."""
-    table = sweeps[sweeps["axis"] == "load"]
+    """Draw late share, tracking error, cost and eMBB rate of policies against the load.
+
+    Of the learners the scenario's own; `figures_learners` has the others.
+    """
+    table = sweeps[(sweeps["axis"] == "load") & ~sweeps["policy"].isin(list(scenario.learners))]
     figure = Figure(figsize=(7.2, 2.15 * PANEL_HEIGHT_IN), layout="constrained")
     axes = [axis for row in figure.subplots(2, 2, squeeze=False) for axis in row]
     policies = [str(policy) for policy in dict.fromkeys(table["policy"])]
@@ -73,7 +76,11 @@ def draw_load(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
 
 
 def draw_delay(tails: pd.DataFrame, scenario: Scenario) -> Figure:
-    """Draw the complementary distribution of URLLC delays: main policies left, all right."""
+    """Draw the complementary distribution of URLLC delays: main policies left, all right.
+
+    Of the learners the scenario's own: the others would hide it.
+    """
+    tails = tails[~tails["policy"].isin(list(scenario.learners))]
     figure, axes = new_figure(height_in=1.15 * PANEL_HEIGHT_IN, sharey=True)
     chosen = tail_policies(scenario)
     panels = (
@@ -256,7 +263,7 @@ def _cell_label(value: str) -> str:
 
 
 def _look(policy: str, scenario: Scenario) -> Look:
-    return policy_look(policy, scenario.learning.algorithm)
+    return policy_look(policy, scenario.learned)
 
 
 def _open_marks(table: pd.DataFrame) -> str:

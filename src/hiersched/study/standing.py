@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pandas as pd
 
 from hiersched.runs import paths
-from hiersched.runs.variants import CLASSICAL_GROUP, group_policies
+from hiersched.scenario.schema import SchedulerName
 from hiersched.study.collect import BASELINE
 from hiersched.study.statistics import (
     Interval,
@@ -22,6 +22,8 @@ from hiersched.study.statistics import (
 
 COST = "drift_plus_penalty_cost"
 """What the network pays a slot: the measure by which policies are ranked."""
+
+_CLASSICAL = tuple(name for name in get_args(SchedulerName) if name != "exact")
 
 CELL_AXES = ("cell", "load", "rayleigh_scale")
 """What a policy meets that it was not trained on."""
@@ -41,8 +43,7 @@ def best_classical(runs: pd.DataFrame) -> str | None:
     It is picked by the very runs with which it is compared, so a comparison with it is never too
     kind to others. None where no classical scheduler was run.
     """
-    names = group_policies(tuple(dict.fromkeys(runs["policy"])), CLASSICAL_GROUP)
-    means = runs[runs["policy"].isin([n for n in names if n != "exact"])].groupby("policy")[COST]
+    means = runs[runs["policy"].isin(_CLASSICAL)].groupby("policy")[COST]
     return str(means.mean().idxmin()) if means.ngroups else None
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import io
 import math
 import textwrap
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -61,6 +61,10 @@ _RC: dict[Any, Any] = {
 }
 
 
+ALGORITHM_NAMES = ("ddpg", "a2c")
+"""Words that are written in capitals."""
+
+
 class Look(NamedTuple):
     """How a series is drawn: label, colour (Okabe and Ito's palette), dashes, marker."""
 
@@ -83,6 +87,14 @@ _POLICIES = {
     "edf": Look("EDF", "#117733", (0, (7, 1, 2, 1)), "h"),
 }
 _LEARNED_COLOR = "#0072B2"
+_LEARNER_LOOKS = (
+    ("#AA3377", (0, (5, 1.5)), "X"),
+    ("#117733", (0, (2, 1.2)), "v"),
+    ("#B8860B", (0, (6, 1.5, 1, 1.5)), "P"),
+    ("#56B4E9", (0, (1, 1)), "h"),
+    ("#3b3b3b", (0, (8, 2)), "<"),
+)
+"""Of the learners besides the scenario's own, in their order; over again after the last."""
 SLICES = {
     "embb": Look("eMBB", "#E69F00", (0, (4, 1.5)), "s"),
     "urllc": Look("URLLC", "#0072B2", "-", "o"),
@@ -98,10 +110,24 @@ GAIN_METHODS = {
 """How the methods of the gain study are drawn."""
 
 
-def policy_look(policy: str, learned: str = "ddpg") -> Look:
-    """Return how a policy is drawn, the same in every figure."""
-    if policy == learned:
-        return Look(f"DRL ({policy.upper()})", _LEARNED_COLOR, "-", "o")
+def policy_look(policy: str, learners: Iterable[str] = ("ddpg",)) -> Look:
+    """Return how a policy is drawn, the same in every figure.
+
+    Parameters
+    ----------
+    policy
+        A scheduler or a learner.
+    learners
+        Names of the learners, the scenario's own first.
+    """
+    names = list(learners)
+    if policy in names:
+        words = policy.split("_")
+        text = " ".join([words[0].upper() if words[0] in ALGORITHM_NAMES else words[0], *words[1:]])
+        place = names.index(policy)
+        if place == 0:
+            return Look(f"DRL ({text})", _LEARNED_COLOR, "-", "o")
+        return Look(text, *_LEARNER_LOOKS[(place - 1) % len(_LEARNER_LOOKS)])
     return _POLICIES.get(policy, Look(policy, GREY, "-", "*"))
 
 

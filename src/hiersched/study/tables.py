@@ -26,6 +26,7 @@ from hiersched.study.gain_summary import (
     stability_table,
     sweeps_table,
 )
+from hiersched.study.learners import differing_keys, learner_table
 from hiersched.study.paper import SYMBOLS
 from hiersched.study.standing import (
     bound_frame,
@@ -112,6 +113,12 @@ TITLES = {
         "at each constant delay; `c1`, `c2`, `c3`, every sequence of such delays is certified, all "
         "for the nominal gain; `adjusted`, exact, for the gain made for the longest delay of the "
         "grid. `at_least`: no longer delay was tried; a dash: not even without delay.",
+    ),
+    "learners": (
+        "Learners along the load, against the scenario's own",
+        f"{_SEEDS} `differs`: keys of the section `learning` that are not the scenario's. Columns "
+        "`…_minus_own`: paired differences from the scenario's own learner, world by world and "
+        "training seed by training seed.",
     ),
     "scores": (
         "Policies over all loads",
@@ -205,6 +212,7 @@ def write_tables(
         "comparison": comparison_table(evaluation),
         "sweeps": sweep_table(sweeps, scenario),
         "scores": score_table(evaluation, sweeps),
+        "learners": learner_table(sweeps, scenario),
         "generalisation": generalisation_table(elsewhere),
         "bound": bound_table(bound_frame(results)),
         "gains": schedule_table(gain_schedules(results, scenario), scenario),
@@ -236,6 +244,8 @@ def parameter_table(scenario: Scenario, defaults: Path | None = None) -> pd.Data
     rows = []
     for note in parameter_notes(path):
         value, default = _at(values, note.key), _at(defaults_values, note.key)
+        if note.key == "learners":
+            value = {name: differing_keys(scenario, name) for name in scenario.learners}
         rows.append(
             {
                 "key": note.key,

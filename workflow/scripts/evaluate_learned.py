@@ -1,12 +1,11 @@
-"""Run the learned policies along one axis."""
+"""Run the policies of a learner in the held-out worlds."""
 
 import argparse
 from pathlib import Path
 
 from hiersched.runs import paths
+from hiersched.runs.evaluate import evaluate
 from hiersched.runs.learned import LearnedRunner
-from hiersched.runs.sweep import sweep
-from hiersched.runs.variants import LEARNED_GROUP, SWEPT_KEYS
 from hiersched.scenario import load_scenario
 
 
@@ -14,11 +13,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenario", type=Path, required=True)
     parser.add_argument("--results", type=Path, required=True)
-    parser.add_argument("--axis", choices=list(SWEPT_KEYS), required=True)
+    parser.add_argument("--learner", required=True)
     args = parser.parse_args()
     scenario = load_scenario(args.scenario)
-    runner = LearnedRunner([args.results / name for name in paths.policy_files(scenario)])
-    sweep(scenario, args.results, args.axis, LEARNED_GROUP, runner)
+    files = [args.results / name for name in paths.policy_files(scenario, args.learner)]
+    evaluate(scenario, args.results, args.learner, LearnedRunner(files))
 
 
 if __name__ == "__main__":

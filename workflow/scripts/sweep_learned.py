@@ -1,12 +1,12 @@
-"""Run the learned policies in the held-out worlds."""
+"""Run the policies of a learner along one axis."""
 
 import argparse
 from pathlib import Path
 
 from hiersched.runs import paths
-from hiersched.runs.evaluate import evaluate
 from hiersched.runs.learned import LearnedRunner
-from hiersched.runs.variants import LEARNED_GROUP
+from hiersched.runs.sweep import sweep
+from hiersched.runs.variants import SWEPT_KEYS
 from hiersched.scenario import load_scenario
 
 
@@ -14,10 +14,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenario", type=Path, required=True)
     parser.add_argument("--results", type=Path, required=True)
+    parser.add_argument("--learner", required=True)
+    parser.add_argument("--axis", choices=list(SWEPT_KEYS), required=True)
     args = parser.parse_args()
     scenario = load_scenario(args.scenario)
-    runner = LearnedRunner([args.results / name for name in paths.policy_files(scenario)])
-    evaluate(scenario, args.results, LEARNED_GROUP, runner)
+    files = [args.results / name for name in paths.policy_files(scenario, args.learner)]
+    sweep(scenario, args.results, args.axis, args.learner, LearnedRunner(files))
 
 
 if __name__ == "__main__":

@@ -1,0 +1,127 @@
+"""The learners side by side: their learning curves, and what they reach along the load."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+from matplotlib.figure import Figure
+
+from hiersched.scenario import Scenario
+from hiersched.study.collect import BASELINE
+from hiersched.study.figures_training import training_curve
+from hiersched.study.standing import COST
+from hiersched.study.style import (
+    GREY,
+    PANEL_HEIGHT_IN,
+    caption,
+    draw_series,
+    log_axis_with_zero,
+    policy_look,
+    shared_legend,
+    zero_floor,
+)
+
+_CURVES = (
+    ("urllc_late_share", "late URLLC packets", "share of due packets [1]"),
+    ("urllc_backlog_packets", "URLLC queue", "backlog per user [packets]"),
+    ("embb_backlog_packets", "eMBB queue", "backlog per user [packets]"),
+)
+_LOAD_PANELS = (
+    ("urllc_late_share", "late URLLC packets", "share of due packets [1]"),
+    ("tracking_error_cm", "robots: RMS position error", "tracking error [cm]"),
+    (COST, "cost of the network", "drift + V penalty a slot [packets²]"),
+    ("embb_rate_mbps", "eMBB data rate", "rate per user [Mbit/s]"),
+)
+BESIDE = (BASELINE, "drift_plus_penalty")
+"""Schedulers that are shown beside the learners."""
+
+
+def draw_learning(training: Mapping[str, pd.DataFrame], scenario: Scenario) -> Figure:
+    """Draw late share and queues of every learner over its training, with noise on its actions.
+
+    Parameters
+    ----------
+    training
+        Learner -> frame of `collect.training_frame`.
+    scenario
+        Its learners.
+    """
+    figure = Figure(figsize=(7.2, 1.1 * PANEL_HEIGHT_IN), layout="constrained")
+    axes = list(figure.subplots(1, len(_CURVES), squeeze=False)[0])
+    late = pd.concat([frame["urllc_late_share"] for frame in training.values()])
+    floor = zero_floor(late)
+    for panel, (measure, title, label), letter in zip(axes, _CURVES, "abc", strict=True):
+        for learner, frame in training.items():
+            learning = scenario.learned[learner]
+            look = policy_look(learner, scenario.learned)
+            curve = training_curve(frame, measure, learning.num_envs)
+            done = curve["episode"] / learning.episodes
+            least = floor if measure == "urllc_late_share" else 1e-9
+            low, mean, high = (curve[end].clip(lower=least) for end in ("lo", "mean", "hi"))
+            panel.fill_between(done, low, high, color=look.color, alpha=0.15, linewidth=0.0)
+            panel.plot(done, mean, color=look.color, linestyle=look.dashes, label=look.label)
+        panel.set_title(f"({letter}) {title}")
+        panel.set_ylabel(label)
+        panel.set_xlabel("share of the training [1]")
+        panel.set_xlim(0.0, 1.0)
+        panel.set_yscale("log")
+    log_axis_with_zero(axes[0], floor, np.minimum(late.to_numpy(np.float64), 1.0))
+    shared_legend(figure, axes[0], columns=6)
+    episodes = ", ".join(
+        f"{policy_look(name, scenario.learned).label} {learner.episodes}"
+        for name, learner in scenario.learned.items()
+    )
+    caption(
+        figure,
+        f"Mean over {len(scenario.learning.seeds)} seeds and the episodes that run side by side; "
+        "bands: Student t 95 % interval over seeds. Actions have exploration noise. Episodes of "
+        f"the whole training: {episodes}.",
+    )
+    return figure
+
+
+def draw_learners(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
+    """Draw every learner along the load, beside PF and drift-plus-penalty.
+
+    Parameters
+    ----------
+    sweeps
+        From `summary.sweep_table`.
+    scenario
+        Its learners.
+    """
+    shown = [*scenario.learned, *BESIDE]
+    table = sweeps[(sweeps["axis"] == "load") & sweeps["policy"].isin(shown)]
+    policies = [policy for policy in shown if policy in set(table["policy"])]
+    figure = Figure(figsize=(7.2, 2.15 * PANEL_HEIGHT_IN), layout="constrained")
+    axes = [axis for row in figure.subplots(2, 2, squeeze=False) for axis in row]
+    loads = np.arange(len(scenario.sweeps.load))
+    for panel, (measure, title, label), letter in zip(axes, _LOAD_PANELS, "abcd", strict=True):
+        floor = zero_floor(table[measure]) if measure == "urllc_late_share" else None
+        for number, policy in enumerate(policies):
+            own = table[table["policy"] == policy]
+            bounds = own[f"{measure}_lo"], own[f"{measure}_hi"]
+            # Side by side at each load: learners often lie on each other.
+            x = loads + 0.09 * (number - 0.5 * (len(policies) - 1))
+            look = policy_look(policy, scenario.learned)._replace(dashes="none")
+            draw_series(panel, x, own[measure], *bounds, look, floor=floor)
+        if floor is not None:
+            drawn = table[[measure, f"{measure}_hi"]].to_numpy(dtype=np.float64)
+            log_axis_with_zero(panel, floor, np.minimum(drawn, 1.0).ravel())
+            panel.axhline(1.0 - scenario.traffic.reliability, color=GREY, linewidth=0.9)
+        elif measure == COST and (table[COST] > 0.0).all():
+            panel.set_yscale("log")
+        panel.set_title(f"({letter}) {title}")
+        panel.set_ylabel(label)
+        panel.set_xlabel("offered load, relative to the nominal loads [1]")
+        panel.set_xticks(loads, [f"{load:g}" for load in scenario.sweeps.load])
+    shared_legend(figure, axes[0], columns=4)
+    caption(
+        figure,
+        f"Mean and Student t 95 % interval over {len(scenario.sweeps.seeds)} worlds, each with "
+        "its own training seed. Grey line in (a): the share 1 − χ that is allowed; below the "
+        "dotted line: 0. The axes of (b) and (d) do not start at 0.",
+    )
+    return figure

@@ -1,0 +1,79 @@
+"""The learners of a scenario against its own: what each is, and what it changes along the load."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from hiersched.scenario import Scenario
+from hiersched.study.standing import COST
+from hiersched.study.statistics import Interval, mean_interval, paired_difference
+
+LEARNER_MEASURES = (
+    "urllc_late_share",
+    "urllc_rate_mbps",
+    "embb_rate_mbps",
+    "tracking_error_cm",
+    COST,
+)
+
+
+def differing_keys(scenario: Scenario, learner: str) -> dict[str, Any]:
+    """Return the keys of a learner that differ from the section `learning`, with their values."""
+    base, own = asdict(scenario.learning), asdict(scenario.learned[learner])
+    return {key: value for key, value in own.items() if value != base[key]}
+
+
+def differing_text(scenario: Scenario, learner: str) -> str:
+    """Return these keys as a line: ``network = mlp``; ``as configured`` where there are none."""
+    keys = differing_keys(scenario, learner)
+    return ", ".join(f"{key} = {value}" for key, value in keys.items()) or "as configured"
+
+
+def learner_table(sweeps: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
+    """Return what every learner reaches at every load, and how far that is from the own one's.
+
+    Parameters
+    ----------
+    sweeps
+        From `collect.sweep_frame`.
+    scenario
+        Its learners; the first is its own.
+
+    Returns
+    -------
+    DataFrame
+        One row a load and learner: load, learner, differs (the keys), seeds, then for every measure
+        its mean over worlds and the mean of the paired differences from the own learner (suffix
+        ``_minus_own``), with bounds ``_lo`` and ``_hi``. World and training seed are paired.
+    """
+    rows = []
+    own = scenario.learning.algorithm
+    along = sweeps[(sweeps["axis"] == "load") & sweeps["policy"].isin(list(scenario.learned))]
+    for load, group in along.groupby("value", sort=False):
+        by_learner = {str(name): runs.set_index("seed") for name, runs in group.groupby("policy")}
+        for learner in scenario.learned:
+            if learner not in by_learner:
+                continue
+            row: dict[str, Any] = {
+                "load": load,
+                "learner": learner,
+                "differs": differing_text(scenario, learner),
+                "seeds": len(by_learner[learner]),
+            }
+            for measure in LEARNER_MEASURES:
+                values = by_learner[learner][measure]
+                row |= _columns(measure, mean_interval(values.to_numpy(np.float64)))
+                if learner != own and own in by_learner:
+                    base = by_learner[own][measure].loc[values.index]
+                    gain = paired_difference(values.to_numpy(), base.to_numpy())
+                    row |= _columns(f"{measure}_minus_own", gain)
+            rows.append(row)
+    return pd.DataFrame(rows) if rows else pd.DataFrame(columns=["load", "learner", "differs"])
+
+
+def _columns(name: str, interval: Interval) -> dict[str, float]:
+    return {name: interval.mean, f"{name}_lo": interval.lo, f"{name}_hi": interval.hi}
