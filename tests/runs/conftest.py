@@ -26,7 +26,7 @@ sweeps: {seeds: [21], duration_s: 0.1, policies: [ddpg, pf], rayleigh_scale: [0.
 gain_study: {seeds: [31, 32], num_robots: 3, num_windows: 3, violation_windows: [2],
              methods: [krasovskii, razumikhin, predictor], sweep_robots: 2, weight: [700.0, 900.0],
              fixed_delay_s: [0.02, 0.04], noise_position_m: [0.0], noise_heading_rad: [0.01]}
-log: {chunk_bytes: 16384}
+log: {chunk_bytes: 16384, train_profile: compact}
 """
 
 

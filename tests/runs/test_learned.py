@@ -27,12 +27,12 @@ EPISODES, SLOTS = 6, 10
 def trained(tiny: Scenario, designed: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     results = tmp_path_factory.mktemp("trained")
     (results / "gains").symlink_to(designed / "gains")
-    train_and_log(tiny, results, "code", show=False)
+    train_and_log(tiny, "ddpg", results, "code", show=False)
     return results
 
 
 def test_every_slot_of_training_is_logged(tiny: Scenario, trained: Path) -> None:
-    for name, seed in zip(paths.training_logs(tiny), tiny.learning.seeds, strict=True):
+    for name, seed in zip(paths.training_logs(tiny, "ddpg"), tiny.learning.seeds, strict=True):
         with LogReader(trained / name) as log:
             assert log.num_slots == EPISODES * SLOTS
             queue = log.read("/queue")
@@ -46,9 +46,9 @@ def test_every_slot_of_training_is_logged(tiny: Scenario, trained: Path) -> None
             0.0, queue["backlog_packets"] + queue["arrivals_packets"] - queue["service_packets"]
         ).reshape(backlog.shape)
         assert np.array_equal(after[:, :-1], backlog[:, 1:])
-        assert weights == (trained / paths.policy_file(seed)).read_bytes()
-    assert (trained / paths.PROGRESS).stat().st_size > 0
-    assert not (trained / paths.CHECKPOINTS).exists()
+        assert weights == (trained / paths.policy_file("ddpg", seed)).read_bytes()
+    assert (trained / paths.progress_file("ddpg")).stat().st_size > 0
+    assert not (trained / paths.CHECKPOINTS / "ddpg").exists()
 
 
 class InterruptedRunError(Exception):
@@ -69,13 +69,13 @@ def test_an_interrupted_training_ends_in_the_same_bits(
 
     monkeypatch.setattr(stage.RoundLogs, "add", add_then_stop)
     with pytest.raises(InterruptedRunError):
-        train_and_log(tiny, results, "code", show=False)
+        train_and_log(tiny, "ddpg", results, "code", show=False)
     assert not list((results / "train/ddpg").glob("*.mcap"))  # nothing looks complete
     monkeypatch.setattr(stage.RoundLogs, "add", add)
-    train_and_log(tiny, results, "code", show=False)
-    for name in paths.training_logs(tiny):
+    train_and_log(tiny, "ddpg", results, "code", show=False)
+    for name in paths.training_logs(tiny, "ddpg"):
         assert (results / name).read_bytes() == (trained / name).read_bytes()
-    for name in paths.policy_files(tiny):
+    for name in paths.policy_files(tiny, "ddpg"):
         a, b = Policy.load(results / name), Policy.load(trained / name)
         assert np.array_equal(a.parameters, b.parameters)
 
@@ -83,12 +83,12 @@ def test_an_interrupted_training_ends_in_the_same_bits(
 def test_a_checkpoint_of_other_code_is_not_used(
     tiny: Scenario, results: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder = results / paths.CHECKPOINTS / "0_other"
+    folder = results / paths.CHECKPOINTS / "ddpg/0_other"
     folder.mkdir(parents=True)
     (folder / "training.pt").write_bytes(b"no checkpoint")
     seen = []
     monkeypatch.setattr(stage, "train", lambda *_, **given: seen.append(given["checkpoint"]) or ())
-    train_and_log(tiny, results, "code", show=False)
+    train_and_log(tiny, "ddpg", results, "code", show=False)
     assert not folder.exists()
     assert seen[0].name == "training.pt"
     assert seen[0].parent != folder
@@ -98,7 +98,7 @@ def test_a_checkpoint_of_other_code_is_not_used(
 def policies(tiny: Scenario, trained: Path, tmp_path: Path) -> list[Path]:
     """Policies that differ: so short a training leaves the actors where they began."""
     files = []
-    for place, name in enumerate(paths.policy_files(tiny)):
+    for place, name in enumerate(paths.policy_files(tiny, "ddpg")):
         policy = Policy.load(trained / name)
         rng = np.random.default_rng(place)
         parameters = rng.normal(0.0, 0.5, policy.parameters.shape).astype(np.float32)
@@ -126,6 +126,6 @@ def test_world_i_runs_the_policy_of_training_seed_i(
 
 
 def test_fewer_worlds_than_policies(tiny: Scenario, trained: Path) -> None:
-    runner = LearnedRunner([trained / name for name in paths.policy_files(tiny)])
+    runner = LearnedRunner([trained / name for name in paths.policy_files(tiny, "ddpg")])
     gains = LoopGains.memoryless(np.zeros((tiny.max_delay_steps + 1, 2, 5)))
     assert [run.seed for run in runner(tiny, gains, "ddpg", "evaluate", (5,), 2)] == [5]

@@ -29,6 +29,7 @@ NOT_A_USE = {
     "scenario_sha256",
     "swept_scenario",
     "cell_scenario",
+    "group_policies",
     "study_scenario",
     "gain_designs",
     "gain_points",
@@ -58,7 +59,7 @@ def reads(tiny: Scenario, monkeypatch: pytest.MonkeyPatch) -> set[str]:
 
     for field in fields(tiny):
         kind = type(getattr(tiny, field.name))
-        if kind is not str:
+        if kind not in (str, dict):
             monkeypatch.setattr(kind, "__getattribute__", record(field.name), raising=False)
     return seen
 
@@ -144,8 +145,8 @@ def test_gain_design_reads_what_it_declares(
 def test_training_reads_what_it_declares(tiny: Scenario, results: Path, reads: set[str]) -> None:
     from hiersched.runs.train import train_and_log
 
-    train_and_log(tiny, results, "code", show=False)
-    assert undeclared(set(reads), spec.train_values(tiny)) == set()
+    train_and_log(tiny, "ddpg", results, "code", show=False)
+    assert undeclared(set(reads), spec.train_values(tiny, "ddpg")) == set()
 
 
 def changed(scenario: Scenario, key: str, value: Any) -> Scenario:
@@ -156,7 +157,7 @@ def changed(scenario: Scenario, key: str, value: Any) -> Scenario:
 JOBS: dict[str, Callable[[Scenario], Any]] = {
     "gains": lambda s: spec.gains_values(s, "schedule"),
     "gains_0.04": lambda s: spec.gains_values(s, "schedule_0.04"),
-    "train": spec.train_values,
+    "train": lambda s: spec.train_values(s, "ddpg"),
     "evaluate": lambda s: spec.evaluate_values(s, "classical"),
     "evaluate_ddpg": lambda s: spec.evaluate_values(s, "ddpg"),
     "gain_study": spec.gain_study_values,

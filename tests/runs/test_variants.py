@@ -13,6 +13,8 @@ from hiersched.runs.variants import (
     design_of,
     gain_designs,
     group_policies,
+    learner_scenario,
+    policy_groups,
     study_scenario,
     swept_scenario,
     swept_values,
@@ -66,16 +68,18 @@ def test_designs(tiny: Scenario) -> None:
 
 
 def test_groups(tiny: Scenario) -> None:
-    assert group_policies(tiny.evaluate.policies, "classical") == ("pf", "edf")
-    assert group_policies(tiny.evaluate.policies, "ddpg") == ("ddpg",)
-    assert group_policies(("pf", "a2c"), "ddpg") == ("a2c",)
-    assert group_policies(("pf", "a2c"), "classical") == ("pf",)
+    two = replace(tiny, learners={"flat": replace(tiny.learning, network="mlp")})
+    policies = ("pf", "flat", "ddpg", "edf")
+    assert policy_groups(two) == ("classical", "ddpg", "flat")
+    assert group_policies(two, policies, "classical") == ("pf", "edf")
+    assert group_policies(two, policies, "ddpg") == ("ddpg",)
+    assert group_policies(two, policies, "flat") == ("flat",)
 
 
 def test_no_two_logs_share_a_path(tiny: Scenario) -> None:
     names = [
-        *paths.training_logs(tiny),
-        *paths.policy_files(tiny),
+        *paths.training_logs(tiny, "ddpg"),
+        *paths.policy_files(tiny, "ddpg"),
         *paths.gain_study_logs(tiny),
         *paths.all_gain_files(tiny),
         *(name for group in ("classical", "ddpg") for name in paths.evaluation_logs(tiny, group)),
@@ -111,3 +115,14 @@ def test_points_of_the_gain_sweeps(tiny: Scenario) -> None:
     assert (variant.users.num_urllc, variant.control.gain) == (2, "nominal")
     with pytest.raises(ValueError, match="axis = 'load': must be one of grid, sampling_s, noise"):
         gain_points(tiny, "load")
+
+
+def test_a_learner_trains_in_a_scenario_of_its_own(tiny: Scenario) -> None:
+    """Nothing of the others is left in it, so that they do not matter to its files."""
+    flat = replace(tiny.learning, network="mlp", seeds=(7, 8))
+    two = replace(tiny, learners={"flat": flat, "slow": replace(tiny.learning, actor_lr=1e-5)})
+    assert learner_scenario(two, "flat") == replace(tiny, learning=flat)
+    assert learner_scenario(two, "ddpg") == tiny
+    assert paths.training_logs(two, "flat") == ["train/flat/seed7.mcap", "train/flat/seed8.mcap"]
+    with pytest.raises(ValueError, match="'fast': must be one of ddpg, flat, slow"):
+        learner_scenario(two, "fast")

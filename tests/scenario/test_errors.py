@@ -39,13 +39,33 @@ from hiersched.scenario import ScenarioError, find_scenario, load_scenario
             ["control.plant = 'wireless'", "'network', 'split' or 'linear'"],
         ),
         ("robot: {reference: circle}", ["robot.reference = 'circle'", "'figure_eight'"]),
-        ("evaluate: {policies: [pf, best]}", ["evaluate.policies.1 = 'best'", "'pf'"]),
+        (
+            "evaluate: {policies: [pf, best]}",
+            ["evaluate.policies = ['pf', 'best']: best is no policy", "allowed: ddpg, pf"],
+        ),
         ("name: A B", ["name = 'A B'", "pattern"]),
         # Keys that do not fit each other.
         (
             "learning: {algorithm: a2c}",
             ["evaluate.policies = ['ddpg'", "ddpg is not trained where learning.algorithm = a2c"],
         ),
+        # Learners.
+        ("learners: {flat: {netwrk: mlp}}", ["learners.flat.netwrk = 'mlp': unknown", "network"]),
+        ("learners: {flat: {discount: 1.5}}", ["learners.flat.discount = 1.5", "less than 1"]),
+        ("learners: {flat: mlp}", ["learners.flat = 'mlp'"]),
+        ("learners: [flat]", ["learners = ['flat']"]),
+        ("learners: {Flat: {}}", ["learners.Flat", "pattern"]),
+        ("learners: {pf: {}}", ["learners.pf: the name of a scheduler"]),
+        ("learners: {ddpg: {}}", ["learners.ddpg: the name of learning.algorithm"]),
+        (
+            "learners: {flat: {episodes: 7}}",
+            ["learners.flat.episodes = 7", "multiple of learners.flat.num_envs = 16"],
+        ),
+        (
+            "learners: {flat: {reward_scale: 7.0}}",
+            ["learners.flat.reward_scale = 7.0", "must be learning.reward_scale = 100.0"],
+        ),
+        ("learners: {flat: {seeds: [1, 1]}}", ["learners.flat.seeds = [1, 1]: every seed once"]),
         (
             "learning: {start: drift_plus_penalty}",
             ["learning.start = drift_plus_penalty: must be pf or max_weight", "algorithm = ddpg"],

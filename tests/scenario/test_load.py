@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import FrozenInstanceError, fields, is_dataclass, replace
-from typing import get_type_hints
+from typing import get_args, get_type_hints
 
 import pytest
 import yaml
@@ -18,7 +18,7 @@ from hiersched.scenario import (
     scenario_to_dict,
     scenario_to_yaml,
 )
-from hiersched.scenario.schema import PolicyName
+from hiersched.scenario.schema import SchedulerName
 
 
 @pytest.fixture(params=["paper", "smoke"])
@@ -90,6 +90,16 @@ def test_whole_numbers_do_for_floats_but_not_the_other_way_round(load_text):
         load_text("radio: {num_prb: 25.5}")
 
 
+def test_a_learner_is_the_section_learning_but_for_what_it_names(load_text):
+    """Read back, too: the resolved scenario holds every key of every learner."""
+    text = "learning: {discount: 0.5}\nlearners: {flat: {network: mlp}, same: }\n"
+    scenario = load_text(text)
+    assert scenario.learners["flat"] == replace(scenario.learning, network="mlp")
+    assert scenario.learners["same"] == scenario.learning
+    assert list(scenario.learned) == ["ddpg", "flat", "same"]
+    assert load_text(scenario_to_yaml(scenario)) == scenario
+
+
 def test_table_one_of_the_paper(config):
     paper = load_scenario(config / "scenarios" / "paper.yaml", defaults=config / "defaults.yaml")
     assert paper.radio.bandwidth_hz == 10e6
@@ -114,6 +124,7 @@ def test_defaults_explain_every_key_of_the_schema(config):
         if is_dataclass(kind)
         for field in fields(kind)
     }
+    keys.add("learners")
     notes = parameter_notes(config / "defaults.yaml")
     assert {note.key for note in notes} == keys
     assert len(notes) == len(keys)
@@ -129,7 +140,7 @@ def test_a_key_without_its_note_is_refused(tmp_path):
 
 
 def test_every_scheduler_can_be_named_in_a_scenario():
-    assert set(PolicyName.__args__) >= {"exact", *CLASSICAL}
+    assert set(get_args(SchedulerName)) == {"exact", *CLASSICAL}
 
 
 @pytest.mark.parametrize(

@@ -83,6 +83,7 @@ def tiny(project_root: Path) -> Scenario:
         project_root / "config/scenarios/smoke.yaml",
         defaults=project_root / "config/defaults.yaml",
     )
+    learning = replace(base.learning, seeds=(1, 2), slots_per_episode=5, num_envs=2, episodes=4)
     return replace(
         base,
         name="tiny",
@@ -90,9 +91,10 @@ def tiny(project_root: Path) -> Scenario:
         radio=replace(base.radio, num_prb=4),
         traffic=replace(base.traffic, urllc_offered_mbps=10.0),
         robot=replace(base.robot, window_s=0.1),
-        learning=replace(base.learning, seeds=(1, 2), slots_per_episode=5, num_envs=2, episodes=4),
+        learning=learning,
+        learners={"flat": replace(learning, network="mlp")},
         evaluate=replace(
-            base.evaluate, seeds=(11, 12, 13), policies=("ddpg", "pf", "drift_plus_penalty")
+            base.evaluate, seeds=(11, 12, 13), policies=("ddpg", "pf", "drift_plus_penalty", "flat")
         ),
         sweeps=replace(
             base.sweeps,
@@ -184,17 +186,18 @@ def results(tmp_path_factory: pytest.TempPathFactory, tiny: Scenario) -> Path:
                 _write_log(path, _run(tiny, policy, seed + cell[2]), metadata=label)
     _write_bound(folder, tiny)
     _write_gain_study(folder, tiny)
-    for seed in tiny.learning.seeds:
-        fields = _run(tiny, "ddpg", seed, slots=20)
-        fields["reward_urllc"] = np.repeat(np.arange(4.0), 5) + seed
-        label = {"policy": "ddpg", "seed": str(seed), "slots_per_episode": "5"}
-        _write_log(folder / "train" / "ddpg" / f"seed{seed}.mcap", fields, metadata=label)
+    for learner in tiny.learned:
+        for seed in tiny.learning.seeds:
+            fields = _run(tiny, learner, seed, slots=20)
+            fields["reward_urllc"] = np.repeat(np.arange(4.0), 5) + seed
+            label = {"policy": learner, "seed": str(seed), "slots_per_episode": "5"}
+            _write_log(folder / paths.training_log(learner, seed), fields, metadata=label)
     return folder
 
 
 def _write_bound(folder: Path, scenario: Scenario) -> None:
     """Two slots a world, optimum -100: gaps of 1 + seed - 12 (greedy), 50 (ddpg), 200 (pf)."""
-    gaps = {"ddpg": 50.0, "pf": 200.0, "drift_plus_penalty": 1.0}
+    gaps = {"ddpg": 50.0, "pf": 200.0, "drift_plus_penalty": 1.0, "flat": 60.0}
     names = "policy seed slot decider value exact bound first_lagrangian_exact "
     names += "first_lagrangian_greedy first_log_rate_exact first_log_rate_greedy"
     lines = [",".join(names.split())]

@@ -37,7 +37,8 @@ from hiersched.study.summary import gain_table, policy_table, sweep_table
 
 NAMES = (
     "fig2_rewards fig3_queues fig4_rate_cdf fig5_rayleigh fig6_sampling fig7_dexterity "
-    "fig8_violations figX_load figX_delay figX_pareto figX_bound figX_generalise figX_gain "
+    "fig8_violations figX_learning figX_learners figX_load figX_delay figX_pareto figX_bound "
+    "figX_generalise figX_gain "
     "figX_gain_grid figX_gain_sweeps figX_gain_traces "
     "figX_gain_stability"
 ).split()
@@ -254,11 +255,12 @@ def test_bound_figure_shows_the_table(figures: dict[str, Figure], results: Path)
     own = table[table["states_of"] == table["decider"]].set_index("decider")
     left, right = figures["figX_bound"].axes
     names = [text.get_text() for text in left.get_yticklabels()]
-    assert names == ["PF", "DRL (DDPG)", "drift-plus-penalty"]
+    assert names == ["PF", "flat", "DRL (DDPG)", "drift-plus-penalty"]
     means = {c.lines[0].get_ydata()[0]: c.lines[0].get_xdata()[0] for c in left.containers}
     assert means[0] == pytest.approx(own.loc["pf", "gap"]) == 200.0
-    assert means[1] == pytest.approx(50.0)
-    assert len(right.containers) == 3
+    assert means[1] == pytest.approx(60.0)
+    assert means[2] == pytest.approx(50.0)
+    assert len(right.containers) == 4
 
 
 def test_cells_figure_shows_the_table(
@@ -328,7 +330,7 @@ def test_training_figure_shows_means_of_rounds(
     figures: dict[str, Figure], results: Path, tiny: Scenario
 ) -> None:
     """Reward of episode k (from 0) is k + seed, seeds 1 and 2, two episodes a round."""
-    frame = training_frame(results, tiny)
+    frame = training_frame(results, tiny, "ddpg")
     curve = training_curve(frame, "urllc_reward", 2)
     assert curve["episode"].tolist() == [2, 4]
     assert curve["mean"].tolist() == pytest.approx([2.0, 4.0])

@@ -33,7 +33,7 @@ def test_policies_have_the_means_and_t_intervals_of_their_logs(
     tables: dict[str, pd.DataFrame], results: Path, tiny: Scenario
 ) -> None:
     table = tables["policies"].set_index("policy")
-    assert list(table.index) == ["ddpg", "pf", "drift_plus_penalty"]
+    assert list(table.index) == ["ddpg", "pf", "drift_plus_penalty", "flat"]
     assert (table["seeds"] == 3).all()
     for policy in table.index:
         logs = [results / "eval" / policy / f"seed{s}.mcap" for s in tiny.evaluate.seeds]
@@ -122,7 +122,7 @@ def test_comparison_is_paired_with_pf(
     tables: dict[str, pd.DataFrame], results: Path, tiny: Scenario
 ) -> None:
     table = tables["comparison"].query("baseline == 'pf'").set_index(["policy", "measure"])
-    assert set(table.index.get_level_values(0)) == {"ddpg", "drift_plus_penalty"}
+    assert set(table.index.get_level_values(0)) == {"ddpg", "drift_plus_penalty", "flat"}
     own, baseline = (
         np.array(
             [
@@ -143,7 +143,7 @@ def test_sweeps_have_every_axis_value_and_policy(
     tables: dict[str, pd.DataFrame], results: Path, tiny: Scenario
 ) -> None:
     table = tables["sweeps"]
-    assert len(table) == 4 * 2 * 2 + 2  # along the load, a third policy
+    assert len(table) == 4 * 2 * 2 + 2 * 2  # along the load, all evaluated policies
     assert table["value"].tolist()[0] == "0.5"
     row = table.query("axis == 'reference' and value == 'arc' and policy == 'pf'").iloc[0]
     logs = [results / "sweep/reference/pf" / f"arc_seed{s}.mcap" for s in tiny.sweeps.seeds]
@@ -285,4 +285,4 @@ def test_bound_table_has_the_planted_gaps(tables: dict[str, pd.DataFrame]) -> No
     assert greedy["first_gap"] == pytest.approx(2.0)
     assert greedy["first_log_rate_gap"] == pytest.approx(0.5)
     assert table.loc[("pf", "pf"), "gap_share"] == pytest.approx(2.0)
-    assert len(table) == 2 + 2 + 3
+    assert len(table) == 2 + 2 + 4 + 2

@@ -20,9 +20,12 @@ from hiersched.scenario import Scenario, load_scenario
 pytestmark = pytest.mark.slow
 
 SMOKE = "config/scenarios/smoke.yaml"
+GROUPS = ("classical", "ddpg", "a2c")
 ALWAYS = {"aggregate", "claims", "figures"}
-LEARNED = {"train", "evaluate_ddpg", *(f"sweep_{axis}_ddpg" for axis in SWEPT_KEYS)}
-LEARNED |= {"generalise_ddpg", "bound"}
+DDPG = {"train_ddpg", "evaluate_ddpg", *(f"sweep_{axis}_ddpg" for axis in SWEPT_KEYS)}
+DDPG |= {"generalise_ddpg", "bound"}
+A2C = {"train_a2c", "evaluate_a2c", "sweep_load_a2c", "generalise_a2c", "bound"}
+LEARNED = DDPG | A2C
 CLASSICAL = {"evaluate_classical", *(f"sweep_{axis}_classical" for axis in SWEPT_KEYS)}
 CLASSICAL |= {"generalise_classical", "bound"}
 GAIN_SWEEPS = {f"gain_sweep_{axis}" for axis in ("grid", "sampling_s", "noise")}
@@ -55,10 +58,10 @@ def to_run(tree: Path) -> set[str]:
 def outputs(scenario: Scenario) -> list[str]:
     return [
         paths.SCENARIO,
-        paths.PROGRESS,
+        *map(paths.progress_file, scenario.learned),
         paths.STABILITY,
         *paths.all_gain_files(scenario),
-        *paths.policy_files(scenario),
+        *(name for learner in scenario.learned for name in paths.policy_files(scenario, learner)),
         *paths.all_logs(scenario),
         paths.RUNS,
         paths.BOUND,
@@ -129,7 +132,13 @@ def test_comments_and_the_order_of_keys_run_nothing(tree: Path) -> None:
 
 def test_a_value_runs_its_dependents(tree: Path) -> None:
     with edited(tree, (SMOKE, "duration_s: 3.0", "duration_s: 4.0")):
-        assert to_run(tree) == {"evaluate_classical", "evaluate_ddpg", "bound", *ALWAYS}
+        assert to_run(tree) == {
+            "evaluate_classical",
+            "evaluate_ddpg",
+            "evaluate_a2c",
+            "bound",
+            *ALWAYS,
+        }
 
 
 def test_two_swapped_values_are_a_change(tree: Path) -> None:
@@ -140,9 +149,18 @@ def test_two_swapped_values_are_a_change(tree: Path) -> None:
         assert to_run(tree) == {*LEARNED, *ALWAYS}
 
 
+def test_a_learners_own_key_runs_that_learner(tree: Path) -> None:
+    new = "a2c: {algorithm: a2c, actor_lr: 1.0e-3}"
+    with edited(tree, (SMOKE, "a2c: {algorithm: a2c}", new)):
+        assert to_run(tree) == {*A2C, *ALWAYS}
+
+
 def test_a_new_point_of_a_sweep_runs_that_sweep(tree: Path) -> None:
     with edited(tree, (SMOKE, "load: [0.85, 1.0]", "load: [0.85, 0.95]")):
-        assert to_run(tree) == {"sweep_load_classical", "sweep_load_ddpg", *ALWAYS}
+        assert (
+            to_run(tree)
+            == {f"sweep_load_{group}" for group in ("classical", "ddpg", "a2c")} | ALWAYS
+        )
 
 
 def test_a_new_sampling_interval_designs_its_gains(tree: Path) -> None:

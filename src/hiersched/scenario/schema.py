@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from pydantic import ConfigDict, Field
@@ -272,7 +273,7 @@ class Log:
     __pydantic_config__ = _STRICT
     compression: Literal["zstd", "none"]
     chunk_bytes: Annotated[int, Field(ge=4096)]
-    train_profile: Literal["full", "compact"]
+    train_profile: Literal["full", "compact", "decisions"]
     evaluate_profile: Literal["full", "compact"]
     sweep_profile: Literal["full", "compact"]
 
@@ -292,7 +293,7 @@ class Scenario:
     control: Control
     linear_plant: LinearPlant
     learning: Learning
-    learners: dict[LearnerName, Learning]
+    learners: Mapping[LearnerName, Learning] = field(hash=False)
     evaluate: Evaluation
     sweeps: Sweeps
     bound: Bound

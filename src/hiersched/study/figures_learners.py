@@ -58,7 +58,8 @@ def draw_learning(training: Mapping[str, pd.DataFrame], scenario: Scenario) -> F
             look = policy_look(learner, scenario.learned)
             curve = training_curve(frame, measure, learning.num_envs)
             done = curve["episode"] / learning.episodes
-            least = floor if measure == "urllc_late_share" else 1e-9
+            # Bands leave the logarithmic axes where they include 0.
+            least = floor if measure == "urllc_late_share" else 0.1 * curve["mean"].min()
             low, mean, high = (curve[end].clip(lower=least) for end in ("lo", "mean", "hi"))
             panel.fill_between(done, low, high, color=look.color, alpha=0.15, linewidth=0.0)
             panel.plot(done, mean, color=look.color, linestyle=look.dashes, label=look.label)
@@ -66,7 +67,11 @@ def draw_learning(training: Mapping[str, pd.DataFrame], scenario: Scenario) -> F
         panel.set_ylabel(label)
         panel.set_xlabel("share of the training [1]")
         panel.set_xlim(0.0, 1.0)
-        panel.set_yscale("log")
+        if measure != "urllc_late_share":
+            lines = np.concatenate([line.get_ydata() for line in panel.get_lines()])
+            if lines.min() > 0.0:
+                panel.set_yscale("log")
+                panel.set_ylim(0.5 * lines.min(), 2.0 * lines.max())
     log_axis_with_zero(axes[0], floor, np.minimum(late.to_numpy(np.float64), 1.0))
     shared_legend(figure, axes[0], columns=6)
     episodes = ", ".join(

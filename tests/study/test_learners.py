@@ -1,0 +1,79 @@
+"""Learners side by side: paired differences by hand, what their figures draw."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from hiersched.scenario import Scenario
+from hiersched.study.collect import sweep_frame, training_frames
+from hiersched.study.figures_learners import draw_learners, draw_learning
+from hiersched.study.learners import LEARNER_MEASURES, differing_keys, learner_table
+from hiersched.study.style import house_style, policy_look
+from hiersched.study.summary import sweep_table
+
+
+def runs_of(policy: str, values: list[float], load: float) -> pd.DataFrame:
+    columns = dict.fromkeys(LEARNER_MEASURES, values)
+    frame = pd.DataFrame({"seed": [21, 22, 23], **columns})
+    return frame.assign(axis="load", value=load, policy=policy)
+
+
+def test_differences_are_paired_world_by_world(tiny: Scenario) -> None:
+    """By hand: differences 1, 2 and 3, whatever the order of the rows; others do not count."""
+    flat = runs_of("flat", [11.0, 22.0, 33.0], 0.85).iloc[::-1]
+    sweeps = pd.concat(
+        [
+            runs_of("ddpg", [10.0, 20.0, 30.0], 0.85),
+            flat,
+            runs_of("pf", [5.0, 5.0, 5.0], 0.85),
+            runs_of("flat", [0.0, 0.0, 0.0], 0.85).assign(axis="reference"),
+        ]
+    )
+    table = learner_table(sweeps, tiny).set_index("learner")
+    assert list(table.index) == ["ddpg", "flat"]
+    row = table.loc["flat"]
+    assert row["tracking_error_cm"] == pytest.approx(22.0)
+    assert row["tracking_error_cm_minus_own"] == pytest.approx(2.0)
+    half = 4.302653 / np.sqrt(3.0)  # Student's t of two degrees of freedom, spread 1
+    assert row["tracking_error_cm_minus_own_lo"] == pytest.approx(2.0 - half, rel=1e-6)
+    assert np.isnan(table.loc["ddpg", "tracking_error_cm_minus_own"])
+    assert row["differs"] == "network = mlp"
+    assert table.loc["ddpg", "differs"] == "as configured"
+
+
+def test_only_what_differs_is_named(tiny: Scenario) -> None:
+    slow = replace(tiny.learning, actor_lr=1e-9, reward="independent")
+    assert differing_keys(replace(tiny, learners={"slow": slow}), "slow") == {
+        "actor_lr": 1e-9,
+        "reward": "independent",
+    }
+
+
+def test_curves_are_those_of_the_logs(tiny: Scenario, results: Path) -> None:
+    training = training_frames(results, tiny)
+    assert list(training) == ["ddpg", "flat"]
+    with house_style():
+        figure = draw_learning(training, tiny)
+    panel = figure.axes[1]
+    for line, (name, frame) in zip(panel.get_lines(), training.items(), strict=True):
+        rounds = frame.groupby([(frame["episode"] - 1) // 2, "seed"])["urllc_backlog_packets"]
+        expected = rounds.mean().groupby(level=0).mean()
+        assert line.get_label() == policy_look(name, tiny.learned).label
+        assert line.get_ydata() == pytest.approx(expected.to_numpy())
+        assert line.get_xdata() == pytest.approx([0.5, 1.0])
+
+
+def test_every_learner_is_drawn_at_every_load(tiny: Scenario, results: Path) -> None:
+    sweeps = sweep_table(sweep_frame(results, tiny), tiny)
+    with house_style():
+        figure = draw_learners(sweeps, tiny)
+    texts = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert texts == ["DRL (DDPG)", "flat", "PF", "drift-plus-penalty"]
+    along = sweeps[(sweeps["axis"] == "load") & (sweeps["policy"] == "flat")]
+    drawn = figure.axes[3].containers[1].lines[0].get_ydata()
+    assert drawn == pytest.approx(along["embb_rate_mbps"].to_numpy())
