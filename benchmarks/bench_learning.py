@@ -33,6 +33,7 @@ VARIANTS = {
     "a2c, shared 64-64": {"algorithm": "a2c"},
     "a2c, shared 32-32": {"algorithm": "a2c", "hidden": (32, 32)},
     "a2c, mlp 64-64": {"algorithm": "a2c", "network": "mlp"},
+    "a2c, mlp, 38 worlds": {"algorithm": "a2c", "network": "mlp", "num_envs": 38},
 }
 
 
