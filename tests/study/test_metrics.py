@@ -81,6 +81,7 @@ def test_measures_of_a_log_with_known_content(
     assert got.arrival_clamped_share == pytest.approx(8 / 80)
     assert got.control_saturations_per_s == pytest.approx(2 / (2 * 0.4))
     assert got.drift_plus_penalty_cost == pytest.approx(1.0 + 0.5 * 100.0)
+    assert (got.drift_cost, got.penalty_cost) == pytest.approx((1.0, 50.0))
 
 
 def test_the_cost_does_not_credit_a_policy_with_its_own_multiplier(

@@ -64,6 +64,10 @@ class RunMetrics:
     arrival_clamped_share: float
     control_saturations_per_s: float
     drift_plus_penalty_cost: float
+    drift_cost: float
+    """Its first part: over a run it adds up to half the squares of the last backlogs."""
+    penalty_cost: float
+    """Its second part, V h."""
 
 
 def run_metrics(path: str | os.PathLike[str], scenario: Scenario) -> RunMetrics:
@@ -114,7 +118,7 @@ def run_metrics(path: str | os.PathLike[str], scenario: Scenario) -> RunMetrics:
         **_delay_quantiles("embb", sojourn_s[urllc:]),
         **_robot_measures(robots, scenario, slot_s),
         arrival_clamped_share=_mean(delay["arrival_clamped"][:, :urllc]),
-        drift_plus_penalty_cost=_drift_plus_penalty(delay, scenario),
+        **_costs(delay, scenario),
     )
 
 
@@ -243,12 +247,17 @@ def _robot_measures(
     }
 
 
-def _drift_plus_penalty(delay: dict[str, NDArray[Any]], scenario: Scenario) -> float:
-    """Return the mean over slots of drift + V penalty, of both slices.
+def _costs(delay: dict[str, NDArray[Any]], scenario: Scenario) -> dict[str, float]:
+    """Return the means over slots of drift + V penalty, and of both parts, of both slices.
 
     Without the priced constraint: multipliers differ between policies, so with it a policy would
     be credited with its own.
     """
-    penalty = delay["penalty_urllc"] + delay["penalty_embb"]
     drift = delay["drift_urllc"] + delay["drift_embb"]
-    return _mean(drift + scenario.objective.penalty_weight * penalty)
+    penalty = delay["penalty_urllc"] + delay["penalty_embb"]
+    penalty = scenario.objective.penalty_weight * penalty
+    return {
+        "drift_plus_penalty_cost": _mean(drift + penalty),
+        "drift_cost": _mean(drift),
+        "penalty_cost": _mean(penalty),
+    }

@@ -51,6 +51,8 @@ TRAILING_MEASURES = (
     "arrival_clamped_share",
     "control_saturations_per_s",
     "drift_plus_penalty_cost",
+    "drift_cost",
+    "penalty_cost",
 )
 COMPARED = (
     "urllc_late_share",
