@@ -9,8 +9,8 @@ from hiersched.network.schedulers import CLASSICAL
 from hiersched.scenario.schema import Scenario
 from hiersched.simulator.kernel import GIVEN, draw_channels, run_robots, run_slots
 from hiersched.simulator.records import SlotLayout, SlotRecord
+from hiersched.simulator.robot_setup import Gains
 from hiersched.simulator.setup import (
-    Gains,
     SlotConstants,
     SlotState,
     initial_state,

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +17,9 @@ from hiersched.radio.channel import large_scale_gain, snr_per_fading_power
 from hiersched.randomness import NormalScratch, normal_scratch
 from hiersched.robot.dynamics import RobotConstants, RobotState, path_scratch, robot_state
 from hiersched.robot.linear import LinearConstants, LinearState, linear_state
-from hiersched.robot.reference import PathShape, ReferenceTable, driven_table, reference_table
-from hiersched.scenario.reference_file import arc_lengths, turns
-from hiersched.scenario.schema import Robot, Scenario
+from hiersched.scenario.schema import Scenario
 from hiersched.simulator.records import SlotFields, SlotLayout
+from hiersched.simulator.robot_setup import Gains, linear_constants, robot_constants
 from hiersched.simulator.users import (
     MEAN_DUE,
     NUM_USER_LANES,
@@ -29,30 +27,6 @@ from hiersched.simulator.users import (
     PACKETS,
     SENSITIVITY,
 )
-
-
-class Gains(Protocol):
-    """What the slot loop needs of a schedule: tables for T = 0 … T_max (`simulator.gains`)."""
-
-    @property
-    def local_gains(self) -> NDArray[np.float64]:
-        """Gains on the present measurement."""
-        ...
-
-    @property
-    def network_gains(self) -> NDArray[np.float64]:
-        """Gains on the delayed measurement."""
-        ...
-
-    @property
-    def input_gains(self) -> NDArray[np.float64]:
-        """Gains on past commands, the newest first."""
-        ...
-
-    @property
-    def adjusted(self) -> NDArray[np.bool_]:
-        """Whether an entry is another gain than the nominal one."""
-        ...
 
 
 class SlotConstants(NamedTuple):
@@ -199,7 +173,7 @@ def slot_constants(scenario: Scenario, gains: Gains, num_slots: int) -> SlotCons
         rules=rules,
         robots=robot_constants(scenario, gains, num_slots, num_urllc),
         is_linear=scenario.control.plant == "linear",
-        linear=_linear_constants(scenario),
+        linear=linear_constants(scenario),
     )
 
 
@@ -207,118 +181,6 @@ def _near_integer(values: NDArray[np.float64]) -> NDArray[np.float64]:
     """Round quotients within 1e-9 of an integer: 0.02 s / 0.01 s must be 2 slots."""
     rounded = np.round(values)
     return np.where(np.abs(values - rounded) < 1e-9 * np.maximum(1.0, rounded), rounded, values)
-
-
-def robot_constants(
-    scenario: Scenario, gains: Gains, num_slots: int, num_robots: int
-) -> RobotConstants:
-    """Constants of `num_robots` robots over `num_slots` slots.
-
-    Raises
-    ------
-    ValueError
-        If the gains do not cover the scenario's delays.
-    """
-    robot, control, slot_s = scenario.robot, scenario.control, scenario.radio.slot_s
-    step_s = robot.substep_s
-    steps_per_slot = round(slot_s / step_s)
-    needed = scenario.max_delay_steps + 1
-    tables = _gain_tables(gains, needed, *scenario.robot_sizes[:2])
-    table, offset = _reference(robot, num_slots * steps_per_slot, num_robots)
-    decay = float(np.exp(-step_s / robot.actuator_lag_s))
-    slip_decay = float(np.exp(-slot_s / robot.slip_time_s))
-    slip_spread = float(np.sqrt(1.0 - slip_decay**2))
-    return RobotConstants(
-        step_s=step_s,
-        steps_per_slot=steps_per_slot,
-        steps_per_sample=round(control.sampling_s / step_s),
-        steps_per_window=round(robot.window_s / step_s),
-        sampling_s=control.sampling_s,
-        lag_decay=decay,
-        lag_mean=(1.0 - decay) * robot.actuator_lag_s / step_s,
-        slip_decay=slip_decay,
-        slip_gain_mps=robot.slip_speed_mps * slip_spread,
-        slip_gain_radps=robot.slip_turn_rate_radps * slip_spread,
-        noise_position_m=robot.noise_position_m,
-        noise_heading_rad=robot.noise_heading_rad,
-        max_speed_mps=robot.max_speed_mps,
-        max_turn_rate_radps=robot.max_turn_rate_radps,
-        core_latency_s=robot.core_latency_s,
-        max_delay_steps=scenario.max_delay_steps,
-        **tables,
-        has_memory=bool(tables["input_gain"].any()),
-        hold_samples=control.hold_samples,
-        adjusted_delay_steps=np.where(gains.adjusted, np.arange(needed), 0).astype(np.uint32),
-        path=table.rows(),
-        pose=table.pose,
-        offset=offset,
-    )
-
-
-def _reference(
-    robot: Robot, num_steps: int, num_robots: int
-) -> tuple[ReferenceTable, NDArray[np.int64]]:
-    """Sample the reference of the robots and say where in it each of them starts."""
-    if robot.reference == "file":
-        points = np.array(robot.reference_points, dtype=np.float64)
-        return driven_table(
-            points[:, 0],
-            np.concatenate([[0.0], np.cumsum(arc_lengths(points))]),
-            points[0, 3] + np.concatenate([[0.0], np.cumsum(turns(points))]),
-            points[0, 1:3],
-            repeat=robot.reference_repeat,
-            step_s=robot.substep_s,
-            num_steps=num_steps,
-            num_robots=num_robots,
-        )
-    shape = PathShape(
-        arc_radius_m=robot.arc_radius_m,
-        eight_half_width_m=robot.eight_half_width_m,
-        zigzag_heading_rad=math.radians(robot.zigzag_heading_deg),
-        zigzag_period_m=robot.zigzag_period_m,
-    )
-    return reference_table(
-        robot.reference, shape, robot.speed_mps, robot.substep_s, num_steps, num_robots
-    )
-
-
-def _linear_constants(scenario: Scenario) -> LinearConstants:
-    """Return the matrices of section `linear_plant`, or empty ones for unicycles."""
-    section, (n, m, _) = scenario.linear_plant, scenario.robot_sizes
-    if scenario.control.plant != "linear":
-        n = m = 0
-    limits = section.input_limits
-    arrays = {
-        name: np.zeros(shape) if value is None or n == 0 else np.array(value, dtype=np.float64)
-        for name, value, shape in (
-            ("A", section.A, (n, n)),
-            ("A_d", section.A_d, (n, n)),
-            ("B", section.B, (n, m)),
-            ("process_noise", section.process_noise, n),
-            ("measurement_noise", section.measurement_noise, n),
-        )
-    }
-    return LinearConstants(
-        **arrays,
-        input_limits=np.full(m, np.inf) if limits is None else np.array(limits, np.float64),
-        error_states=np.array(section.error_states or (), np.int64),
-    )
-
-
-def _gain_tables(gains: Gains, needed: int, n: int, m: int) -> dict[str, NDArray[np.float64]]:
-    """Gain tables of `RobotConstants` by name, for `needed` delays, n states and m inputs."""
-    shapes = {
-        "local_gains": (needed, m, n),
-        "network_gains": (needed, m, n),
-        "input_gains": (needed, needed - 1, m, m),
-    }
-    tables = {}
-    for name, shape in shapes.items():
-        table = np.ascontiguousarray(getattr(gains, name))
-        if table.shape != shape:
-            raise ValueError(f"{name}: shape {table.shape}, must be {shape}")
-        tables[name.removesuffix("s")] = table
-    return tables
 
 
 def initial_state(scenario: Scenario, keys: NDArray[np.uint64], num_slots: int) -> SlotState:
