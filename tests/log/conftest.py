@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hiersched.log import TOPICS, LogDims, LogWriter
+from hiersched.log import LogDims, LogWriter
+from hiersched.log.schema import topics_in
 
 SLOT_NS = 10_000_000
 Fields = dict[str, Any]
@@ -17,7 +18,7 @@ def make_fields(slots: int, dims: LogDims, seed: int = 0) -> Fields:
     """Random bits in every field of the full profile: NaNs, infinities and denormals too."""
     rng = np.random.default_rng(seed)
     fields: Fields = {}
-    for topic in TOPICS.values():
+    for topic in topics_in("full").values():
         for field in topic.fields[1:]:
             shape = (slots, *field.concrete_shape(dims))
             raw = rng.bytes(int(np.prod(shape)) * np.dtype(field.dtype).itemsize)

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from mcap.writer import Writer
 
 from hiersched.log import (
-    TOPICS,
     Event,
     LogDims,
     LogError,
@@ -23,6 +23,7 @@ from hiersched.log import (
     writer,
 )
 from hiersched.log import container as container_module
+from hiersched.log.schema import topics_in
 
 SLOT_NS = 10_000_000
 SLOTS = 100
@@ -52,7 +53,7 @@ def log_path(
 def test_every_bit_comes_back(log_path: Path, random_fields: Any, verify: str) -> None:
     fields = random_fields(SLOTS)
     content = read_everything(log_path, verify=verify)
-    for name, topic in TOPICS.items():
+    for name, topic in topics_in("full").items():
         assert list(content[name]) == [field.name for field in topic.fields]
         assert content[name]["slot"].tolist() == list(range(SLOTS))
         for field in topic.fields[1:]:
@@ -259,11 +260,32 @@ def test_newer_schema_is_refused(
 def test_schema_that_changed_without_a_new_version_is_refused(
     tmp_path: Path, random_fields: Any, write_log: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    ours = schema.descriptor_set("hiersched.Channel")
+    renamed = ours.replace(b"mean_fading_power", b"main_fading_power")
+    assert renamed != ours
     with monkeypatch.context() as patch:
-        patch.setattr(part, "descriptor_set", lambda name: schema.descriptor_set(name) + b"\n\0")
+        patch.setattr(part, "descriptor_set", lambda name: renamed)
         path = write_log(tmp_path / "a.mcap", random_fields(3))
     with pytest.raises(LogError, match=r"the schema of /channel is not hiersched\.Channel"):
         LogReader(path)
+
+
+def test_schemas_of_older_versions_with_fewer_topics_are_read(
+    tmp_path: Path, random_fields: Any, write_log: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    older = FileDescriptorSet.FromString(schema.descriptor_set("hiersched.Channel"))
+    assert older.file[0].message_type.pop().name == "Slices"
+
+    def older_set(name: str) -> bytes:
+        own = name.startswith("hiersched")
+        return older.SerializeToString() if own else schema.descriptor_set(name)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(part, "descriptor_set", older_set)
+        path = write_log(tmp_path / "a.mcap", random_fields(3))
+    assert b"hiersched.Slices" not in path.read_bytes()
+    assert same_bits(read_everything(path)["/queue"]["service_packets"],
+                     random_fields(3)["service_packets"])  # fmt: skip
 
 
 def test_messages_that_do_not_follow_the_schema_are_refused(

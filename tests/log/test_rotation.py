@@ -15,7 +15,8 @@ from mcap.exceptions import EndOfFile
 from mcap.records import Chunk, Message
 from mcap.stream_reader import StreamReader
 
-from hiersched.log import TOPICS, LogDims, LogReader, LogWriter
+from hiersched.log import LogDims, LogReader, LogWriter
+from hiersched.log.schema import topics_in
 
 SLOT_NS = 10_000_000
 FLUSH = 50
@@ -23,7 +24,8 @@ FLUSH = 50
 KILLED = """
 import sys, time
 import numpy as np
-from hiersched.log import TOPICS, LogDims, LogWriter
+from hiersched.log import LogDims, LogWriter
+from hiersched.log.schema import topics_in
 
 dims = LogDims(num_urllc=3, num_embb=2, num_prb=7)
 log = LogWriter(sys.argv[1], dims, slot_ns=10_000_000, flush_slots=50)
@@ -31,7 +33,7 @@ slot = 0
 while True:
     fields = {
         field.name: np.full((1, *field.concrete_shape(dims)), slot, field.dtype)
-        for topic in TOPICS.values() for field in topic.fields[1:]
+        for topic in topics_in("full").values() for field in topic.fields[1:]
     }
     log.write_block(slot, fields)
     log.event(slot, "INFO", "run", f"slot {slot}")
@@ -74,7 +76,10 @@ def test_flush_writes_what_there_is(tmp_path: Path, random_fields: Any, dims: Lo
         log.event(3, "INFO", "run", "text")
         assert set(slots_on_disk(tmp_path / "a.mcap.part").values()) == {0}
         log.flush()
-        assert [*slots_on_disk(tmp_path / "a.mcap.part").values()] == [*[9] * len(TOPICS), 1]
+        assert [*slots_on_disk(tmp_path / "a.mcap.part").values()] == [
+            *[9] * len(topics_in("full")),
+            1,
+        ]
 
 
 def test_chunks_end_at_flushes_however_blocks_are_cut(
@@ -151,7 +156,7 @@ def test_random_topics_are_stored_and_the_others_compressed(
     path = write_log(tmp_path / "a.mcap", random_fields(100))
     with path.open("rb") as stream:
         chunks = [r for r in StreamReader(stream, emit_chunks=True).records if isinstance(r, Chunk)]
-    topics = [*TOPICS, "/events"]
+    topics = [*topics_in("full"), "/events"]
     channels = [int.from_bytes(c.data[9:11], "little") for c in chunks if c.compression == ""]
     assert {topics[channel - 1] for channel in channels} == {"/channel", "/world"}
     assert {c.compression for c in chunks} == {"", "zstd"}

@@ -16,8 +16,10 @@ from hiersched.log.schema import (
     EVENTS_TOPIC,
     SCHEMA_VERSION,
     channel_ids,
+    describes,
     descriptor_set,
     proto_source,
+    topics_in,
 )
 from hiersched.simulator.records import SlotLayout
 
@@ -67,7 +69,7 @@ def test_topics_table_is_the_record_of_the_simulator() -> None:
     dims = LogDims(num_urllc=3, num_embb=2, num_prb=7)
     table = {
         field.name: (np.dtype(field.dtype), (2, *field.concrete_shape(dims)))
-        for topic in TOPICS.values()
+        for topic in topics_in("full").values()
         for field in topic.fields[1:]
     }
     assert {name: (values.dtype, values.shape) for name, values in record.items()} == table
@@ -103,14 +105,48 @@ def test_proto_source_names_the_schema_version() -> None:
 
 
 def test_compact_profile_leaves_out_what_seed_and_scenario_give_again() -> None:
-    assert set(channel_ids("full")) == {*TOPICS, EVENTS_TOPIC}
+    assert set(channel_ids("full")) == {*TOPICS, EVENTS_TOPIC} - {"/slices"}
     assert set(channel_ids("full")) - set(channel_ids("compact")) == {"/world"}
     left_out = {
         field.name
-        for topic in TOPICS.values()
+        for topic in topics_in("full").values()
         for field in set(topic.fields) - set(topic.fields_in("compact"))
     }
-    assert left_out == {"slot", "fading_power", "arrival_uniform", "robot_normal", "reference"}
+    assert left_out == {
+        *("slot", "fading_power", "arrival_uniform", "robot_normal", "average_rate_mbps"),
+        *("hol_delay_s", "delay_s", "constraint", "network_delay_s", "gain_delay_steps"),
+        *("state", "reference", "control"),
+    }
+
+
+def test_decisions_profile_has_decisions_and_means_of_slices() -> None:
+    contained = {
+        name: [field.name for field in topic.fields_in("decisions")[1:]]
+        for name, topic in topics_in("decisions").items()
+    }
+    assert contained == {
+        "/allocation": ["prb_owner"],
+        "/delay": ["multiplier", "reward_urllc", "reward_embb"],
+        "/slices": [field.name for field in TOPICS["/slices"].fields[1:]],
+    }
+    with pytest.raises(ValueError, match="profile is 'sums'; allowed: full, compact, decisions"):
+        TOPICS["/slices"].fields_in("sums")
+
+
+def test_a_message_is_described_whatever_else_is() -> None:
+    """Files of older versions name fewer topics in their schemas."""
+    ours = FileDescriptorSet.FromString(descriptor_set("hiersched.Delay"))
+    messages = ours.file[0].message_type
+    last = messages.pop()
+    older = ours.SerializeToString()
+    assert last.name == "Slices"
+    assert describes(older, "hiersched.Delay")
+    assert not describes(older, "hiersched.Slices")
+    next(m for m in messages if m.name == "Delay").field[3].name = "due"
+    assert not describes(ours.SerializeToString(), "hiersched.Delay")
+    assert describes(ours.SerializeToString(), "hiersched.Queue")
+    assert not describes(older[:-1], "hiersched.Delay")
+    assert not describes(b"", EVENTS_SCHEMA)
 
 
 @pytest.mark.parametrize(

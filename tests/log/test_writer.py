@@ -21,6 +21,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from hiersched.log import TOPICS, LogDims, LogReader, LogWriter
 from hiersched.log.container import MAGIC
+from hiersched.log.schema import topics_in
 
 SLOT_NS = 10_000_000
 SLOTS = 100
@@ -59,7 +60,7 @@ def test_stock_reader_returns_every_bit(
                 value = np.array(getattr(decoded, field.name), field.dtype)
                 expected = fields[field.name][slot]
                 assert same_bits(value.reshape(expected.shape), expected), field
-    assert seen == {topic: list(range(SLOTS)) for topic in TOPICS}
+    assert seen == {topic: list(range(SLOTS)) for topic in topics_in("full")}
 
 
 def test_messages_decode_with_plain_protobuf(
@@ -125,7 +126,7 @@ def test_indexes_and_statistics_agree_with_a_walk_through_the_file(
     assert summary.statistics is not None
     chunks = [r for r in records if isinstance(r, Chunk)]
     indexes = [r for r in records if isinstance(r, MessageIndex)]
-    assert len(chunks) == len(indexes) == len(summary.chunk_indexes) > 2 * len(TOPICS)
+    assert len(chunks) == len(indexes) == len(summary.chunk_indexes) > 2 * len(topics_in("full"))
     counts: dict[int, int] = defaultdict(int)
     data = path.read_bytes()
     for chunk, index, entry in zip(chunks, indexes, summary.chunk_indexes, strict=True):
@@ -152,7 +153,7 @@ def test_indexes_and_statistics_agree_with_a_walk_through_the_file(
         assert entry.message_index_length == 9 + struct.unpack_from("<Q", data, offset + 1)[0]
     statistics = summary.statistics
     assert statistics.channel_message_counts == counts
-    assert statistics.message_count == sum(counts.values()) == SLOTS * len(TOPICS) + 4
+    assert statistics.message_count == sum(counts.values()) == SLOTS * len(topics_in("full")) + 4
     assert (statistics.message_start_time, statistics.message_end_time) == (0, 99 * SLOT_NS)
     assert (statistics.attachment_count, statistics.metadata_count) == (3, 1)
 
@@ -225,7 +226,7 @@ def test_exception_leaves_no_finished_file(
         with contextlib.suppress(EndOfFile):
             for _, channel, message in NonSeekingReader(stream).iter_messages(log_time_order=False):
                 slots[channel.topic].append(message.sequence)
-    assert slots == {**{topic: list(range(40)) for topic in TOPICS}, "/events": [3]}
+    assert slots == {**{topic: list(range(40)) for topic in topics_in("full")}, "/events": [3]}
 
 
 def test_older_log_survives_a_run_that_fails(

@@ -54,8 +54,8 @@ def study(small: Scenario, tmp_path_factory: pytest.TempPathFactory) -> Path:
     results = tmp_path_factory.mktemp("study")
     for design in gain_designs(small):
         design_gains(small, design, results / paths.gain_file(design))
-    train_and_log(small, results, "code", show=False)
-    learned = LearnedRunner([results / name for name in paths.policy_files(small)])
+    train_and_log(small, "ddpg", results, "code", show=False)
+    learned = LearnedRunner([results / name for name in paths.policy_files(small, "ddpg")])
     for group, run in (("classical", run_classical), ("ddpg", learned)):
         evaluate(small, results, group, run)
         for axis in ("rayleigh_scale", "reference"):

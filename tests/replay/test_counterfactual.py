@@ -10,6 +10,7 @@ import pytest
 
 from hiersched.learning.policy import Policy
 from hiersched.log import LogError, LogReader, log_digest
+from hiersched.replay.compare import compare_logs
 from hiersched.replay.counterfactual import find_policy, rerun
 from hiersched.replay.source import load_run
 from hiersched.replay.verify import verify
@@ -52,8 +53,7 @@ def test_another_policy_meets_the_same_world(study: Path, tmp_path: Path) -> Non
 def test_every_episode_of_a_training_under_another_policy(study: Path, tmp_path: Path) -> None:
     run = load_run(study / "train/ddpg/seed1.mcap")
     rerun(run, find_policy(run, "max_weight"), tmp_path / "a.mcap")
-    before, after = fields_of(run.path), fields_of(tmp_path / "a.mcap")
-    assert np.array_equal(before["mean_fading_power"], after["mean_fading_power"])
+    assert compare_logs(run.path, tmp_path / "a.mcap").num_slots == 48
     again = load_run(tmp_path / "a.mcap")
     assert (again.policy, again.stage, again.num_slots) == ("max_weight", "train", 48)
     assert verify(again) is None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,17 @@ import yaml
 
 from hiersched.log import TOPICS, LogError, LogReader, LogWriter
 from hiersched.replay import source
+from hiersched.replay.expand import expand
 from hiersched.replay.source import load_run
 from hiersched.replay.verify import verify
+from hiersched.runs import paths
+from hiersched.runs.gain_study import delays_of_run, gain_sweep
+from hiersched.runs.gains import design_gains
+from hiersched.runs.variants import gain_designs
+from hiersched.scenario import Scenario
 
 FULL = "eval/edf/seed12.mcap"
+SWEEP = "sweep/reference/ddpg/arc_seed21.mcap"
 TOPIC_OF = {field.name: name for name, topic in TOPICS.items() for field in topic.fields[1:]}
 
 
@@ -46,7 +54,7 @@ def test_batches_are_the_same_run(study: Path, monkeypatch: pytest.MonkeyPatch) 
         run = load_run(study / name)
         assert sum(batch.num_envs * batch.num_slots for batch in run.batches()) == run.num_slots
         assert len(list(run.batches())) >= 4
-        assert verify(run, seen.append) is None
+        assert verify(run, lambda batch, record: seen.append(batch.stop_slot)) is None
         assert seen[-1] == run.num_slots
 
 
@@ -61,16 +69,16 @@ def flip(field: str, slot: int, bit: int) -> Callable[[dict, list, dict], None]:
     return change
 
 
-@pytest.mark.parametrize("name", [FULL, "train/ddpg/seed1.mcap"])
+@pytest.mark.parametrize("name", [FULL, "train/ddpg/seed1.mcap", SWEEP])
 def test_one_changed_bit_is_caught_with_slot_and_field(
     name: str, study: Path, tmp_path: Path, rewrite: Any
 ) -> None:
     with LogReader(study / name) as log:
         fields = [field for topic in log.topics for field in log.read(topic, None, 0, 0)]
-    # The weights of a policy that learns are decisions, which the log alone knows.
-    taken = {"slot", "weight"} if "train" in name else {"slot"}
+    # Decisions of learned policies are what the log alone knows: owners or weights.
+    taken = {"slot"} if name == FULL else {"slot", "prb_owner" if "train" in name else "weight"}
     for number, field in enumerate(field for field in fields if field not in taken):
-        slot = 14 + number % 9
+        slot = (14 if "sweep" not in name else 1) + number % 9
         path = rewrite(study / name, tmp_path / "a.mcap", flip(field, slot, number % 32))
         found = verify(load_run(path))
         assert found is not None, field
@@ -92,15 +100,64 @@ def test_the_first_of_two_changes_is_named(study: Path, tmp_path: Path, rewrite:
     assert (found.slot, found.topic, found.field) == (9, "/delay", "reward_embb")
 
 
-def test_forced_delays_are_decisions_and_what_follows_is_computed(
-    study: Path, tmp_path: Path, rewrite: Any
-) -> None:
+def test_forced_delays_come_from_the_seed_too(study: Path, tmp_path: Path, rewrite: Any) -> None:
     name = "gain_study/krasovskii_adjusted_seed31.mcap"
-    for field, caught in (("state", "state"), ("network_delay_s", "delay_steps")):
-        path = rewrite(study / name, tmp_path / "a.mcap", flip(field, 17, 62))
+    assert expand(load_run(study / name), tmp_path / "full.mcap") is None
+    for log, field in (
+        (study / name, "delay_steps"),
+        (tmp_path / "full.mcap", "network_delay_s"),
+        (tmp_path / "full.mcap", "state"),
+    ):
+        path = rewrite(log, tmp_path / "a.mcap", flip(field, 17, 2))
         found = verify(load_run(path))
         assert found is not None
-        assert (found.slot, found.field.split("[")[0]) == (17, caught)
+        assert (found.slot, found.field.split("[")[0]) == (17, field)
+
+
+def test_delays_of_a_gain_sweep_are_drawn_again(
+    small: Scenario, study: Path, tmp_path: Path
+) -> None:
+    """Each point has delays of its own."""
+    fast = replace(
+        small,
+        gain_study=replace(small.gain_study, weight=(700.0,), fixed_delay_s=(0.02, 0.04),
+                           sweep_robots=2),
+    )  # fmt: skip
+    for design in gain_designs(fast):
+        design_gains(fast, design, tmp_path / paths.gain_file(design))
+    for axis in ("grid", "noise"):
+        gain_sweep(fast, tmp_path, axis)
+    logs = sorted((tmp_path / "gain_study").rglob("*.mcap"))
+    assert len(logs) == 4 + 8
+    for path in logs:
+        assert verify(load_run(path)) is None, path
+    with pytest.raises(ValueError, match=r"grid = 'q7_1': must be one of q700_0\.02, q700_0\.04"):
+        delays_of_run(fast, "grid", "q7_1", np.zeros(1, np.uint64), 3)
+
+
+def test_owners_that_nobody_can_decide_are_refused(
+    study: Path, tmp_path: Path, rewrite: Any
+) -> None:
+    def change(fields: dict[str, Any], events: list, metadata: dict) -> None:
+        fields["prb_owner"][13] = 2
+
+    path = rewrite(study / "train/ddpg/seed1.mcap", tmp_path / "a.mcap", change)
+    with pytest.raises(ValueError, match="every user 0 to 3 must own a PRB"):
+        verify(load_run(path))
+
+
+def test_owners_decide_what_follows(study: Path, tmp_path: Path, rewrite: Any) -> None:
+    """Of a log of decisions, another owner shows in the reward of the slot."""
+
+    def change(fields: dict[str, Any], events: list, metadata: dict) -> None:
+        owner = fields["prb_owner"][13]
+        first = int(np.flatnonzero(np.bincount(owner, minlength=4) > 1)[0])
+        owner[np.flatnonzero(owner == first)[0]] = (first + 1) % 4
+
+    path = rewrite(study / "train/ddpg/seed1.mcap", tmp_path / "a.mcap", change)
+    found = verify(load_run(path))
+    assert found is not None
+    assert (found.slot, found.topic) == (13, "/delay")
 
 
 def test_events_are_computed_too(study: Path, tmp_path: Path, rewrite: Any) -> None:

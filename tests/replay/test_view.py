@@ -19,6 +19,7 @@ from mcap_protobuf.decoder import DecoderFactory
 import hiersched.log
 from hiersched.cli import main
 from hiersched.log import TOPICS, LogDims, LogReader
+from hiersched.log.schema import topics_in
 from hiersched.replay.view import PLOTS, foxglove_layout, series_names, show_in_rerun
 from hiersched.replay.viewer_topics import (
     IMAGE_SLOTS,
@@ -130,11 +131,11 @@ def test_foxglove_layout_names_panels_and_fields_that_exist() -> None:
 def test_poses_need_the_full_profile(
     study: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    log = next((study / "train").rglob("*.mcap"))
-    assert main(["export", str(log), "--viewer", "--out", str(tmp_path / "out")]) == 2
-    assert (
-        "poses need the reference, which the profile compact leaves out" in capsys.readouterr().err
-    )
+    for folder, profile in (("train", "decisions"), ("sweep", "compact")):
+        log = next((study / folder).rglob("*.mcap"))
+        assert main(["export", str(log), "--viewer", "--out", str(tmp_path / "out")]) == 2
+        wanted = f"poses need state and reference, which the profile {profile} leaves out"
+        assert wanted in capsys.readouterr().err
     assert not list(tmp_path.rglob("*.mcap"))
 
 
@@ -178,4 +179,10 @@ def test_rerun_recording_has_the_views(study: Path, tmp_path: Path) -> None:
     show_in_rerun(study / LOG, tmp_path / "a.rrd")
     assert [p.name for p in tmp_path.iterdir()] == ["a.rrd"]
     entities = {str(part.entity_path) for part in chunk.RrdReader(tmp_path / "a.rrd").stream()}
-    assert {*TOPICS, "/events", IMAGE_TOPIC, "/robots/0/pose", "/robots/1/reference"} <= entities
+    assert {
+        *topics_in("full"),
+        "/events",
+        IMAGE_TOPIC,
+        "/robots/0/pose",
+        "/robots/1/reference",
+    } <= entities

@@ -118,8 +118,13 @@ def test_forced_delays_are_long_in_the_violation_windows(tiny: Scenario) -> None
     assert len(np.unique(delays)) == delays.size
 
 
+def in_full(scenario: Scenario) -> Scenario:
+    """The same with full logs of sweeps, which have the robots' delays and controls."""
+    return replace(scenario, log=replace(scenario.log, sweep_profile="full"))
+
+
 def test_gain_study_meets_the_same_delays_with_both_gains(tiny: Scenario, results: Path) -> None:
-    gain_study(tiny, results)
+    gain_study(in_full(tiny), results)
     logs = {
         name.removeprefix("gain_study/"): fields_of(results / name)
         for name in paths.gain_study_logs(tiny)
@@ -135,7 +140,7 @@ def test_gain_study_meets_the_same_delays_with_both_gains(tiny: Scenario, result
 
 
 def test_a_gain_sweep_meets_the_delays_of_each_point(tiny: Scenario, results: Path) -> None:
-    gain_sweep(tiny, results, "grid")
+    gain_sweep(in_full(tiny), results, "grid")
     logs = {
         Path(name).name: fields_of(results / name) for name in paths.gain_sweep_logs(tiny, "grid")
     }
@@ -154,8 +159,8 @@ def test_a_gain_sweep_meets_the_delays_of_each_point(tiny: Scenario, results: Pa
 
 
 def test_the_noise_of_a_gain_sweep_is_in_force(tiny: Scenario, results: Path) -> None:
-    gain_sweep(tiny, results, "noise")
-    gain_sweep(tiny, results, "sampling_s")
+    gain_sweep(in_full(tiny), results, "noise")
+    gain_sweep(in_full(tiny), results, "sampling_s")
     noisy, usual = (
         fields_of(results / paths.gain_sweep_log(axis, value, "nominal", 31))
         for axis, value in (("noise", "0_0.01"), ("sampling_s", "0.02"))

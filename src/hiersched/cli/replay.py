@@ -18,14 +18,24 @@ DIFFERS = 1
 def add_commands(commands: Any) -> None:
     """Add the commands to the parser."""
     text = "compute every slot of a log again and compare it bit for bit"
-    replay = commands.add_parser("replay", help=text, description=text)
+    more = (
+        "With --out the run is also written again in the profile full: poses, states, channel and "
+        "all else that a log of the profiles compact and decisions leaves out (weights that "
+        "decisions leaves out are NaN: who owned which PRB is all that is known)."
+    )
+    replay = commands.add_parser("replay", help=text, description=f"{text}. {more}")
     replay.add_argument("log", metavar="LOG", help="an MCAP file of hiersched")
     replay.add_argument(
         "--policy",
         metavar="NAME",
         help="run this scheduler, or file of weights, in the world of the log instead",
     )
-    replay.add_argument("--out", metavar="LOG2", help="with --policy: keep the log of that run")
+    replay.add_argument(
+        "--out",
+        metavar="FULL",
+        help="write the run again in the profile full if every bit is right; with --policy: keep "
+        "the log of that run, in the profile of LOG",
+    )
     replay.set_defaults(command=_replay)
     text = "paired differences of runs in the same world, and the slots where they part"
     compare = commands.add_parser("compare", help=text, description=text)
@@ -36,11 +46,10 @@ def add_commands(commands: Any) -> None:
 
 def _replay(parsed: argparse.Namespace) -> int:
     from hiersched.cli import InputError
+    from hiersched.replay.expand import expand
     from hiersched.replay.source import load_run
     from hiersched.replay.verify import verify
 
-    if parsed.out and not parsed.policy:
-        raise InputError("--out says where the log of --policy goes: give that too")
     run = load_run(parsed.log)
     if run.added_keys:
         print(
@@ -51,11 +60,15 @@ def _replay(parsed: argparse.Namespace) -> int:
     if parsed.policy:
         return _counterfactual(run, parsed.policy, parsed.out)
     try:
-        difference = verify(run)
+        difference = expand(run, parsed.out) if parsed.out else verify(run)
+    except FileExistsError as error:
+        raise InputError(str(error)) from error
     except ValueError as error:
         raise InputError(f"{parsed.log}: {error}") from error
     if difference is None:
         print(f"{parsed.log}: OK, {run.num_slots} slots computed again, every bit the same")
+        if parsed.out:
+            print(f"{parsed.out}: the same run, profile full")
         return 0
     print(f"{parsed.log}: differs in {difference}")
     return DIFFERS

@@ -65,7 +65,7 @@ def record_layout(
     dims
         Numbers of users and PRBs.
     profile
-        ``full`` or ``compact``.
+        One of `PROFILES`.
     channel_id
         MCAP channel id of the topic in the file.
 

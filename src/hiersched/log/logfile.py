@@ -39,7 +39,7 @@ from hiersched.log.schema import (
     TOPICS,
     LogDims,
     channel_ids,
-    descriptor_set,
+    describes,
 )
 from hiersched.log.walk import walk
 
@@ -226,7 +226,7 @@ class LogFile(RecordFile):
         for topic, channel in self._channels.items():
             message = EVENTS_SCHEMA if topic == EVENTS_TOPIC else TOPICS[topic].message
             schema = self._schemas.get(channel.schema_id)
-            if schema is None or (schema.name, schema.data) != (message, descriptor_set(message)):
+            if schema is None or schema.name != message or not describes(schema.data, message):
                 raise self._fail(
                     self.summary_start,
                     f"the schema of {topic} is not {message} of version {SCHEMA_VERSION}",

@@ -48,7 +48,7 @@ class LogReader:
     dims : LogDims
         Numbers of users and PRBs.
     profile : str
-        ``full`` or ``compact``.
+        ``full``, ``compact`` or ``decisions``.
     slot_ns : int
         Slot length [ns].
     topics : tuple of str

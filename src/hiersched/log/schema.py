@@ -21,6 +21,8 @@ from types import MappingProxyType
 from typing import Any, Literal, get_args
 
 import numpy as np
+from google.protobuf.descriptor_pb2 import DescriptorProto, FileDescriptorSet
+from google.protobuf.message import DecodeError
 
 SCHEMA_VERSION = 1
 LIBRARY = f"hiersched-log/{SCHEMA_VERSION}"  # fixed: a version of NumPy or mcap would change bytes
@@ -28,8 +30,14 @@ METADATA_NAME = "hiersched"
 EVENTS_TOPIC = "/events"
 EVENTS_SCHEMA = "foxglove.Log"
 
-Profile = Literal["full", "compact"]
+Profile = Literal["full", "compact", "decisions"]
 PROFILES: tuple[str, ...] = get_args(Profile)
+
+# Which profiles contain a field. Whatever a smaller one leaves out, replay computes again.
+_ALL = PROFILES
+_FULL = ("full",)
+_COMPACT = ("full", "compact")  # what the study reads of a run, besides the decisions
+_SUMS = ("decisions",)  # of slices, in place of the users' numbers
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -96,15 +104,15 @@ class Field:
     shape
         Of one slot's value, in the letters of `LogDims.sizes` and numbers; ``()`` is a scalar, all
         else is packed.
-    full_only
-        Left out of the ``compact`` profile.
+    profiles
+        Those that contain it.
     """
 
     name: str
     number: int
     dtype: str
     shape: tuple[str | int, ...]
-    full_only: bool = False
+    profiles: tuple[str, ...] = _ALL
 
     def concrete_shape(self, dims: LogDims) -> tuple[int, ...]:
         """Shape of one slot's value for given dimensions."""
@@ -129,8 +137,6 @@ class Topic:
         MCAP topic and protobuf message.
     fields
         Its fields, `slot` first.
-    full_only
-        Left out of the ``compact`` profile.
     stored
         Never compressed: random numbers, of which zstd saves 10 % for a quarter of the writer's
         time and a third of the reader's.
@@ -139,26 +145,22 @@ class Topic:
     name: str
     message: str
     fields: tuple[Field, ...]
-    full_only: bool = False
     stored: bool = False
 
     def fields_in(self, profile: str) -> tuple[Field, ...]:
-        """Fields that a profile contains; empty when it leaves the topic out."""
+        """Fields that a profile contains, `slot` first; empty when it leaves the topic out."""
         if profile not in PROFILES:
             raise ValueError(f"profile is {profile!r}; allowed: {', '.join(PROFILES)}")
-        if profile == "full":
-            return self.fields
-        return () if self.full_only else tuple(f for f in self.fields if not f.full_only)
+        slot, *others = (field for field in self.fields if profile in field.profiles)
+        return (slot, *others) if others else ()
 
 
-def _topic(
-    name: str, *fields: tuple[Any, ...], full_only: bool = False, stored: bool = False
-) -> tuple[str, Topic]:
+def _topic(name: str, *fields: tuple[Any, ...], stored: bool = False) -> tuple[str, Topic]:
     """Entry of the table: fields are numbered in order, after `slot` = 1."""
     numbered = [Field("slot", 1, "<u8", ())]
     numbered += [Field(f[0], i, *f[1:]) for i, f in enumerate(fields, start=2)]
     message = "hiersched." + name.removeprefix("/").capitalize()
-    return name, Topic(name, message, tuple(numbered), full_only, stored)
+    return name, Topic(name, message, tuple(numbered), stored)
 
 
 TOPICS: Mapping[str, Topic] = MappingProxyType(
@@ -166,69 +168,82 @@ TOPICS: Mapping[str, Topic] = MappingProxyType(
         [
             _topic(
                 "/channel",
-                ("fading_power", "<f4", ("U", "K"), True),
-                ("mean_fading_power", "<f4", ("U",)),
+                ("fading_power", "<f4", ("U", "K"), _FULL),
+                ("mean_fading_power", "<f4", ("U",), _COMPACT),
                 stored=True,
             ),
             _topic(
                 "/world",
-                ("arrival_uniform", "<f8", ("U",)),
-                ("robot_normal", "<f4", ("R", "W")),
-                full_only=True,
+                ("arrival_uniform", "<f8", ("U",), _FULL),
+                ("robot_normal", "<f4", ("R", "W"), _FULL),
                 stored=True,
             ),
             _topic(
                 "/allocation",
                 ("prb_owner", "<u4", ("K",)),
-                ("num_prb", "<u4", ("U",)),
-                ("rate_mbps", "<f8", ("U",)),
-                ("weight", "<f4", ("U",)),
+                ("num_prb", "<u4", ("U",), _COMPACT),
+                ("rate_mbps", "<f8", ("U",), _COMPACT),
+                ("weight", "<f4", ("U",), _COMPACT),
             ),
             _topic(
                 "/queue",
-                ("backlog_packets", "<f8", ("U",)),
-                ("arrivals_packets", "<u4", ("U",)),
-                ("service_packets", "<f8", ("U",)),
-                ("average_rate_mbps", "<f8", ("U",)),
+                ("backlog_packets", "<f8", ("U",), _COMPACT),
+                ("arrivals_packets", "<u4", ("U",), _COMPACT),
+                ("service_packets", "<f8", ("U",), _COMPACT),
+                ("average_rate_mbps", "<f8", ("U",), _FULL),
             ),
             _topic(
                 "/delay",
-                ("hol_delay_s", "<f8", ("U",)),
-                ("delay_s", "<f8", ("U",)),
-                ("due_packets", "<u4", ("U",)),
-                ("late_packets", "<u4", ("U",)),
-                ("arrival_clamped", "<u4", ("U",)),
+                ("hol_delay_s", "<f8", ("U",), _FULL),
+                ("delay_s", "<f8", ("U",), _FULL),
+                ("due_packets", "<u4", ("U",), _COMPACT),
+                ("late_packets", "<u4", ("U",), _COMPACT),
+                ("arrival_clamped", "<u4", ("U",), _COMPACT),
                 ("multiplier", "<f8", ("R",)),
-                ("constraint", "<f8", ("R",)),
-                ("drift_urllc", "<f8", ()),
-                ("drift_embb", "<f8", ()),
-                ("penalty_urllc", "<f8", ()),
-                ("penalty_embb", "<f8", ()),
+                ("constraint", "<f8", ("R",), _FULL),
+                ("drift_urllc", "<f8", (), _COMPACT),
+                ("drift_embb", "<f8", (), _COMPACT),
+                ("penalty_urllc", "<f8", (), _COMPACT),
+                ("penalty_embb", "<f8", (), _COMPACT),
                 ("reward_urllc", "<f8", ()),
                 ("reward_embb", "<f8", ()),
             ),
             _topic(
                 "/robots",
-                ("network_delay_s", "<f8", ("R",)),
-                ("delay_steps", "<u4", ("R",)),
-                ("delay_capped", "<u4", ("R",)),
-                ("gain_delay_steps", "<u4", ("R",)),
-                ("state", "<f8", ("R", "N")),
-                ("reference", "<f8", ("R", 5), True),
-                ("control", "<f8", ("R", "M")),
-                ("control_saturated", "<u4", ("R",)),
-                ("tracking_error_m", "<f8", ("R",)),
-                ("dexterity_index", "<f8", ("R",)),
+                ("network_delay_s", "<f8", ("R",), _FULL),
+                ("delay_steps", "<u4", ("R",), _COMPACT),
+                ("delay_capped", "<u4", ("R",), _COMPACT),
+                ("gain_delay_steps", "<u4", ("R",), _FULL),
+                ("state", "<f8", ("R", "N"), _FULL),
+                ("reference", "<f8", ("R", 5), _FULL),
+                ("control", "<f8", ("R", "M"), _FULL),
+                ("control_saturated", "<u4", ("R",), _COMPACT),
+                ("tracking_error_m", "<f8", ("R",), _COMPACT),
+                ("dexterity_index", "<f8", ("R",), _COMPACT),
+            ),
+            _topic(
+                "/slices",
+                ("backlog_urllc_packets", "<f8", (), _SUMS),
+                ("backlog_embb_packets", "<f8", (), _SUMS),
+                ("due_urllc_packets", "<u4", (), _SUMS),
+                ("due_embb_packets", "<u4", (), _SUMS),
+                ("late_urllc_packets", "<u4", (), _SUMS),
+                ("late_embb_packets", "<u4", (), _SUMS),
             ),
         ]
     )
 )
 
 
+def topics_in(profile: str) -> dict[str, Topic]:
+    """Topics that a profile contains, by name."""
+    return {name: topic for name, topic in TOPICS.items() if topic.fields_in(profile)}
+
+
 def channel_ids(profile: str) -> dict[str, int]:
     """MCAP channel (and schema) id of each topic that a profile contains, `/events` last."""
-    names = [name for name, topic in TOPICS.items() if topic.fields_in(profile)]
-    return {name: i for i, name in enumerate([*names, EVENTS_TOPIC], start=1)}
+    names = [*topics_in(profile), EVENTS_TOPIC]
+    return {name: i for i, name in enumerate(names, start=1)}
 
 
 @cache
@@ -236,6 +251,31 @@ def descriptor_set(message: str) -> bytes:
     """Return the serialised FileDescriptorSet that describes a message, dependencies included."""
     name = "foxglove/Log.binpb" if message == EVENTS_SCHEMA else "hiersched.binpb"
     return files(__package__).joinpath(name).read_bytes()
+
+
+@cache
+def describes(descriptors: bytes, message: str) -> bool:
+    """Say whether a serialised FileDescriptorSet describes a message as ours does.
+
+    Other messages in it do not matter: sets of older versions lack topics that came later.
+    """
+    if descriptors == descriptor_set(message):
+        return True
+    try:
+        given = FileDescriptorSet.FromString(descriptors)
+    except DecodeError:
+        return False
+    ours = FileDescriptorSet.FromString(descriptor_set(message))
+    return (own := _named(ours, message)) is not None and own == _named(given, message)
+
+
+def _named(descriptors: FileDescriptorSet, message: str) -> DescriptorProto | None:
+    """Find a message by its full name."""
+    for file in descriptors.file:
+        for entry in file.message_type:
+            if f"{file.package}.{entry.name}" == message:
+                return entry
+    return None
 
 
 @cache

@@ -36,7 +36,8 @@ class LogWriter:
     dims
         Numbers of users and PRBs.
     profile
-        ``full``, or ``compact`` without what the random streams can regenerate.
+        ``full``, ``compact`` with what a study reads of a run, or ``decisions`` with those and sums
+        alone; what the smaller ones leave out can be computed again.
     metadata
         Text about the run: scenario, seed, policy, stage and the like. The schema version, the
         dimensions, the profile and the slot length are added.
@@ -131,6 +132,11 @@ class LogWriter:
         return LogPart(path, self._settings, dict(sorted(metadata.items())))
 
     @property
+    def profile(self) -> str:
+        """One of `PROFILES`."""
+        return self._settings.profile
+
+    @property
     def paths(self) -> tuple[Path, ...]:
         """Files that are complete."""
         return tuple(self._finished)
@@ -143,8 +149,8 @@ class LogWriter:
         first_slot
             Number of the first slot; after all slots written before.
         fields
-            Name -> values, shape (T, ...) with the shape of `TOPICS` behind T. A field of the
-            ``full`` profile may be there when the profile is ``compact``: it is left out.
+            Name -> values, shape (T, ...) with the shape of `TOPICS` behind T. Fields that the
+            profile does not contain may be there: they are left out.
 
         Raises
         ------

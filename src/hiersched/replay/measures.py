@@ -7,20 +7,26 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.log import LogReader
+from hiersched.log import TOPICS, LogReader
 
 FloatArray = NDArray[np.float64]
 
-_READ = {
-    "/allocation": ("rate_mbps",),
-    "/queue": ("backlog_packets",),
-    "/delay": ("hol_delay_s", "due_packets", "late_packets", "reward_urllc", "reward_embb"),
-    "/robots": ("tracking_error_m", "dexterity_index", "network_delay_s"),
+_SLICE_KINDS = ("due", "late", "backlog")
+_ROBOT_MEASURES = (
+    ("network_delay_s", "network delay", "ms", 1e3),
+    ("tracking_error_m", "tracking error", "cm", 100.0),
+    ("dexterity_index", "dexterity index", "", 1.0),
+)
+_WANTED = {
+    *("rate_mbps", "hol_delay_s", "reward_urllc", "reward_embb"),
+    *(f"{kind}_packets" for kind in _SLICE_KINDS),
+    *(f"{kind}_{name}_packets" for kind in _SLICE_KINDS for name in ("urllc", "embb")),
+    *(field for field, *_ in _ROBOT_MEASURES),
 }
 
 
 def batch_means(log: LogReader, count: int, batches: int) -> list[tuple[str, str, FloatArray]]:
-    """Average what matters over stretches of time.
+    """Average what matters over stretches of time, as far as the log's profile has it.
 
     Parameters
     ----------
@@ -37,10 +43,7 @@ def batch_means(log: LogReader, count: int, batches: int) -> list[tuple[str, str
         Name, unit and the mean of each stretch, shape (batches,). Late packets are over those that
         were due in the whole run, so that the mean over stretches is the share of the run.
     """
-    fields: dict[str, NDArray[Any]] = {}
-    for topic, names in _READ.items():
-        fields |= log.read(topic, names)
-    fields = {name: values[:count] for name, values in fields.items()}
+    fields = {name: values[:count] for name, values in _read(log).items()}
     cut = np.linspace(0, count, batches + 1).astype(np.intp)
     length = np.diff(cut)
     n = log.dims.num_urllc
@@ -50,28 +53,42 @@ def batch_means(log: LogReader, count: int, batches: int) -> list[tuple[str, str
         means: FloatArray = np.add.reduceat(per_slot, cut[:-1]) / length
         return means
 
-    def late(users: slice) -> FloatArray:
-        due = mean(fields["due_packets"][:, users])
+    def late(due: NDArray[np.uint32], packets: NDArray[np.uint32]) -> FloatArray:
         # Over the due packets of the whole run: a batch without any counts as one without late.
-        overall = float((due * length).sum() / count)
-        share = mean(fields["late_packets"][:, users]) / (overall or np.nan)
+        overall = float((mean(due) * length).sum() / count)
+        share = mean(packets) / (overall or np.nan)
         return 100.0 * share
 
-    urllc, embb = slice(0, n), slice(n, None)
     found = []
-    for name, users in (("URLLC", urllc), ("eMBB", embb)):
-        if fields["rate_mbps"][:, users].size:
-            found += [
-                (f"{name} late packets", "%", late(users)),
-                (f"{name} rate", "Mbit/s", mean(fields["rate_mbps"][:, users])),
-                (f"{name} backlog", "packets", mean(fields["backlog_packets"][:, users])),
-                (f"{name} wait", "ms", 1e3 * mean(fields["hol_delay_s"][:, users])),
-                (f"{name} reward", "", mean(fields[f"reward_{name.lower()}"])),
-            ]
-    if n:
-        found += [
-            ("network delay", "ms", 1e3 * mean(fields["network_delay_s"])),
-            ("tracking error", "cm", 100.0 * mean(fields["tracking_error_m"])),
-            ("dexterity index", "", mean(fields["dexterity_index"])),
-        ]
+    for name, users in (("URLLC", slice(0, n)), ("eMBB", slice(n, n + log.dims.num_embb))):
+        if users.start == users.stop:
+            continue
+        due, packets, backlog = (_of_slice(fields, k, name, users) for k in _SLICE_KINDS)
+        found.append((f"{name} late packets", "%", late(due, packets)))
+        if "rate_mbps" in fields:
+            found.append((f"{name} rate", "Mbit/s", mean(fields["rate_mbps"][:, users])))
+        found.append((f"{name} backlog", "packets", mean(backlog)))
+        if "hol_delay_s" in fields:
+            found.append((f"{name} wait", "ms", 1e3 * mean(fields["hol_delay_s"][:, users])))
+        found.append((f"{name} reward", "", mean(fields[f"reward_{name.lower()}"])))
+    for field, name, unit, scale in _ROBOT_MEASURES:
+        if n and field in fields:
+            found.append((name, unit, scale * mean(fields[field])))
     return found
+
+
+def _read(log: LogReader) -> dict[str, NDArray[Any]]:
+    """Read the fields that count, of those that the log has."""
+    fields: dict[str, NDArray[Any]] = {}
+    for topic in log.topics:
+        names = {field.name for field in TOPICS[topic].fields_in(log.profile)}
+        if wanted := names & _WANTED:
+            fields |= log.read(topic, wanted)
+    return fields
+
+
+def _of_slice(fields: dict[str, NDArray[Any]], kind: str, name: str, users: slice) -> NDArray[Any]:
+    """Numbers of a slice's users, or those of the slice where the log has no others."""
+    if f"{kind}_packets" in fields:
+        return fields[f"{kind}_packets"][:, users]
+    return fields[f"{kind}_{name.lower()}_packets"]

@@ -60,7 +60,7 @@ class LoggedRun:
     metadata, attachments
         Those of the log.
     profile
-        ``full`` or ``compact``.
+        That of the log.
     scenario, schedule, gains
         What the run was of: from the attachments.
     added_keys

@@ -13,9 +13,12 @@ from hiersched.log import TOPICS, LogReader
 from hiersched.network.schedulers import CLASSICAL
 from hiersched.replay.source import Batch, LoggedRun
 from hiersched.runs.events import slot_events
+from hiersched.runs.gain_study import delays_of_run
+from hiersched.runs.logging import logged_fields
 from hiersched.simulator import Simulator, SlotRecord
 
 Fields = dict[str, NDArray[Any]]
+OnSlots = Callable[[Batch, SlotRecord], None]
 _TOPIC_OF = {f.name: topic.name for topic in TOPICS.values() for f in topic.fields[1:]}
 _EVENT_FIELDS = (
     "hol_delay_s",
@@ -51,20 +54,22 @@ class Difference:
         )
 
 
-def verify(run: LoggedRun, on_slots: Callable[[int], None] | None = None) -> Difference | None:
+def verify(run: LoggedRun, on_slots: OnSlots | None = None) -> Difference | None:
     """Compute every slot of a log again and compare it bit for bit.
 
-    The world comes from the seed and has to be the logged one. Classical schedulers decide again;
-    the decisions of learned policies, weights and multipliers, and the forced delays of a gain
-    study are taken from the log, and all that follows from them is computed: first of all who gets
-    which PRB. Whether a learned policy's weights are its own, `rerun` says.
+    The world and the forced delays of a gain study come from the seed and have to be the logged
+    ones. Classical schedulers decide again; the decisions of learned policies are taken from the
+    log, and all that follows from them is computed. Decisions are weights and multipliers, so that
+    who gets which PRB already follows; where the log does not have the weights, the owners are.
+    Whether a learned policy's weights are its own, `rerun` says.
 
     Parameters
     ----------
     run
         The run, from `load_run`.
     on_slots
-        Is told how many slots have been compared.
+        Is given a batch that has been compared and what it holds, all fields of the `full` profile
+        with leading axes (E, T): weights that the log does not have are NaN.
 
     Returns
     -------
@@ -80,18 +85,22 @@ def verify(run: LoggedRun, on_slots: Callable[[int], None] | None = None) -> Dif
         If its decisions are none that the simulator takes.
     """
     start: tuple[Simulator, NDArray[np.float64]] | None = None
+    parts: dict[str, list[NDArray[Any]]] = {name: [] for name in _EVENT_FIELDS}
     with LogReader(run.path, verify="chunks") as log:
         for batch in run.batches():
             logged = _read(log, batch)
             if batch.begins:
                 start = _start(run, batch, logged)
             assert start is not None  # the first batch begins
-            record = _compute(*start, run, logged)
-            if (found := _first_difference(batch, logged, record)) is not None:
+            record = _compute(*start, run, batch, logged)
+            if (found := _first_difference(run, batch, logged, record)) is not None:
                 return found
+            for name in _EVENT_FIELDS:
+                values = getattr(record, name)
+                parts[name].append(values.reshape(-1, *values.shape[2:]).copy())
             if on_slots is not None:
-                on_slots(batch.stop_slot)
-        return _event_difference(run, log)
+                on_slots(batch, record)
+        return _event_difference(run, log, {k: np.concatenate(v) for k, v in parts.items()})
 
 
 def _read(log: LogReader, batch: Batch) -> Fields:
@@ -105,14 +114,22 @@ def _read(log: LogReader, batch: Batch) -> Fields:
 
 
 def _compute(
-    simulator: Simulator, multipliers: NDArray[np.float64], run: LoggedRun, logged: Fields
+    simulator: Simulator,
+    multipliers: NDArray[np.float64],
+    run: LoggedRun,
+    batch: Batch,
+    logged: Fields,
 ) -> SlotRecord:
     """Compute a batch from its decisions."""
     if run.stage == "gain_study":
-        return simulator.run_robots(logged["network_delay_s"])
-    record = simulator.new_record(logged["weight"].shape[1])
+        return simulator.run_robots(_forced_delays(run, batch))
+    record = simulator.new_record(batch.num_slots)
     if run.policy in CLASSICAL:
         return simulator.run(run.policy, multipliers=multipliers, record=record)
+    if "weight" not in logged or np.isnan(logged["weight"]).any():
+        simulator.run_owners(logged["prb_owner"], multipliers=multipliers, record=record)
+        record.weight[...] = np.nan
+        return record
     weights = logged["weight"].astype(np.float64)
     one = simulator.new_record(1)
     start = run.metadata.get("start", "pf")
@@ -124,6 +141,13 @@ def _compute(
     return record
 
 
+def _forced_delays(run: LoggedRun, batch: Batch) -> NDArray[np.float64]:
+    """Network delays of the batch [s], shape (1, T, R)."""
+    axis, value = (run.metadata.get(key, "") for key in ("axis", "value"))
+    delays = delays_of_run(run.scenario, axis, value, run.keys, batch.stop_slot)
+    return delays[:, batch.first_slot :]
+
+
 def _start(run: LoggedRun, batch: Batch, logged: Fields) -> tuple[Simulator, NDArray[np.float64]]:
     """Episodes that begin, and their multipliers (E, R), which keep their first values."""
     keys = run.keys[batch.first_env : batch.first_env + batch.num_envs]
@@ -132,12 +156,15 @@ def _start(run: LoggedRun, batch: Batch, logged: Fields) -> tuple[Simulator, NDA
     return Simulator(run.scenario, run.gains, keys, run.episode_slots), multipliers
 
 
-def _first_difference(batch: Batch, logged: Fields, record: SlotRecord) -> Difference | None:
+def _first_difference(
+    run: LoggedRun, batch: Batch, logged: Fields, record: SlotRecord
+) -> Difference | None:
     """Compare a batch; the earliest slot wins, then the order of the topics."""
+    computed = logged_fields(run.profile, run.scenario, record._asdict())
     found: tuple[int, str] | None = None
     for name in _TOPIC_OF:
         if name in logged:
-            differs = _bits(logged[name]) != _bits(getattr(record, name))
+            differs = _bits(logged[name]) != _bits(computed[name])
             rows = np.flatnonzero(differs.reshape(batch.num_envs * batch.num_slots, -1).any(axis=1))
             if len(rows) and (found is None or rows[0] < found[0]):
                 found = int(rows[0]), name
@@ -145,7 +172,7 @@ def _first_difference(batch: Batch, logged: Fields, record: SlotRecord) -> Diffe
         return None
     row, name = found
     env, slot = divmod(row, batch.num_slots)
-    a, b = logged[name][env, slot], getattr(record, name)[env, slot]
+    a, b = logged[name][env, slot], computed[name][env, slot]
     place = tuple(np.argwhere(_bits(a) != _bits(b))[0].tolist())
     return Difference(
         slot=batch.first_slot + row,
@@ -161,13 +188,8 @@ def _bits(values: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(values).view(f"u{values.itemsize}")
 
 
-def _event_difference(run: LoggedRun, log: LogReader) -> Difference | None:
-    """Compare the events with those that follow from the slots."""
-    fields: Fields = {}
-    for topic in log.topics:
-        names = [name for name in _EVENT_FIELDS if _TOPIC_OF[name] == topic]
-        if names:
-            fields |= log.read(topic, names)
+def _event_difference(run: LoggedRun, log: LogReader, fields: Fields) -> Difference | None:
+    """Compare the events with those that follow from the slots, of which `fields` are (T, ...)."""
     computed = []
     for first in range(0, run.num_slots, run.episode_slots):
         episode = {k: v[first : first + run.episode_slots] for k, v in fields.items()}

@@ -145,8 +145,8 @@ def _pose_messages(log: LogReader) -> Iterator[tuple[str, Any, int]]:
         raise LogError(
             log.path,
             0,
-            f"poses need the reference, which the profile {log.profile} leaves out "
-            "(log.sweep_profile: full in the scenario keeps it)",
+            f"poses need state and reference, which the profile {log.profile} leaves out "
+            f"(hiersched replay {log.path} --out FULL.mcap writes the whole run)",
         )
     robots = log.read("/robots", ["state", "reference"])
     poses = robot_poses(robots["state"], robots["reference"]), robots["reference"][..., :3]

@@ -52,6 +52,43 @@ def forced_delays(
     return low[:, None] + (high - low)[:, None] * uniform
 
 
+def delays_of_run(
+    variant: Scenario, axis: str, value: str, keys: NDArray[np.uint64], num_slots: int
+) -> NDArray[np.float64]:
+    """Draw the delays of a run once more, shape (E, T, R) [s].
+
+    Parameters
+    ----------
+    variant
+        The scenario that was run.
+    axis, value
+        Those of its log: the point of a sweep, empty for Table II.
+    keys
+        Worlds, shape (E,).
+    num_slots
+        Slots from the first on.
+
+    Raises
+    ------
+    ValueError
+        If there is no such point.
+    """
+    num_robots = variant.users.num_urllc
+    if not axis:
+        return forced_delays(variant, keys, num_slots, num_robots)
+    bounds = {point.value: point.violation_delay_s for point in gain_points(variant, axis)}
+    if value not in bounds:
+        raise ValueError(f"{axis} = {value!r}: must be one of {', '.join(bounds)}")
+    return forced_delays(
+        variant,
+        keys,
+        num_slots,
+        num_robots,
+        violation_windows=range(2, variant.gain_study.sweep_windows + 1),
+        violation_delay_s=bounds[value],
+    )
+
+
 def gain_study(scenario: Scenario, results: Path) -> None:
     """Run and log the robots for every method, gain and seed.
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.control import GainSchedule
@@ -49,7 +50,7 @@ def open_log(
     label
         Goes into the metadata.
     profile
-        ``full`` or ``compact``.
+        ``full``, ``compact`` or ``decisions``.
     metadata, attachments
         Further ones, such as the weights of a policy.
     """
@@ -103,9 +104,51 @@ def log_block(
     first_slot: int = 0,
 ) -> None:
     """Write consecutive slots of one world and their events; `fields` have a leading axis (T,)."""
-    writer.write_block(first_slot, fields)
+    writer.write_block(first_slot, logged_fields(writer.profile, scenario, fields))
     for event in slot_events(scenario, schedule, fields, first_slot):
         writer.event(event.slot, event.level, event.name, event.message)
+
+
+def logged_fields(
+    profile: str, scenario: Scenario, fields: Mapping[str, NDArray[Any]]
+) -> Mapping[str, NDArray[Any]]:
+    """Add what a profile has of slots and their record does not."""
+    if profile == "decisions":
+        return {**fields, **slice_fields(fields, scenario.users.num_urllc)}
+    return fields
+
+
+def slice_fields(
+    fields: Mapping[str, NDArray[Any]], num_urllc: int
+) -> dict[str, NDArray[np.float64] | NDArray[np.uint32]]:
+    """Sum users up to slices: the topic ``/slices``.
+
+    Parameters
+    ----------
+    fields
+        ``backlog_packets``, ``due_packets`` and ``late_packets`` of users, shape (..., U), URLLC
+        users first.
+    num_urllc
+        Number of URLLC users.
+
+    Returns
+    -------
+    dict of ndarray
+        Name -> value of each slot, shape (...): mean backlogs [packets], 0 where a slice has no
+        user, and numbers of packets.
+    """
+    slices: dict[str, NDArray[np.float64] | NDArray[np.uint32]] = {}
+    for name, users in (("urllc", slice(0, num_urllc)), ("embb", slice(num_urllc, None))):
+        backlog = fields["backlog_packets"][..., users]
+        # User by user: the order of NumPy's own sum, and so its bits, depends on memory layout.
+        total = np.zeros(backlog.shape[:-1])
+        for user in range(backlog.shape[-1]):
+            total += backlog[..., user]
+        slices[f"backlog_{name}_packets"] = total / max(1, backlog.shape[-1])
+        for kind in ("due", "late"):
+            packets = fields[f"{kind}_packets"][..., users]
+            slices[f"{kind}_{name}_packets"] = packets.sum(axis=-1, dtype=np.uint32)
+    return slices
 
 
 def clear_logs(folder: Path, keep: set[Path]) -> None:

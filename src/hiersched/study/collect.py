@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from hiersched.control import GainSchedule
 from hiersched.log import LogError, LogReader
 from hiersched.runs import paths
+from hiersched.runs.logging import slice_fields
 from hiersched.runs.variants import STUDY_PLANTS, baseline_method, cell_scenario, swept_policies
 from hiersched.scenario import Scenario
 from hiersched.scenario.schema import GainMethod
@@ -169,17 +170,21 @@ def training_frame(results_dir: Path, scenario: Scenario, learner: str) -> pd.Da
 
 def _training_columns(log: LogReader, length: int) -> dict[str, NDArray[Any]]:
     """Return the columns of `training_frame`, one value an episode of `length` slots."""
-    urllc = log.dims.num_urllc
-    delay = log.read("/delay", ["reward_urllc", "reward_embb", "due_packets", "late_packets"])
-    backlog = log.read("/queue", ["backlog_packets"])["backlog_packets"]
+    reward = log.read("/delay", ["reward_urllc", "reward_embb"])
+    if log.profile == "decisions":
+        slices = log.read("/slices")
+    else:
+        users = log.read("/delay", ["due_packets", "late_packets"])
+        users |= log.read("/queue", ["backlog_packets"])
+        slices = slice_fields(users, log.dims.num_urllc)
     late, due = (
-        _by_episode(delay[name][:, :urllc], length) for name in ("late_packets", "due_packets")
+        _by_episode(slices[name], length) for name in ("late_urllc_packets", "due_urllc_packets")
     )
     return {
-        "urllc_reward": _by_episode(delay["reward_urllc"], length),
-        "embb_reward": _by_episode(delay["reward_embb"], length),
-        "urllc_backlog_packets": _by_episode(backlog[:, :urllc], length),
-        "embb_backlog_packets": _by_episode(backlog[:, urllc:], length),
+        "urllc_reward": _by_episode(reward["reward_urllc"], length),
+        "embb_reward": _by_episode(reward["reward_embb"], length),
+        "urllc_backlog_packets": _by_episode(slices["backlog_urllc_packets"], length),
+        "embb_backlog_packets": _by_episode(slices["backlog_embb_packets"], length),
         "urllc_late_share": np.divide(late, due, out=np.full(len(due), np.nan), where=due > 0),
     }
 

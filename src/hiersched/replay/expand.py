@@ -1,0 +1,80 @@
+"""Writes a verified log again with all that its profile left out."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hiersched.log import LogReader, LogWriter
+from hiersched.replay.source import Batch, LoggedRun
+from hiersched.replay.verify import Difference, verify
+from hiersched.runs.logging import log_dims
+from hiersched.simulator import SlotRecord
+
+
+def expand(run: LoggedRun, out: str | os.PathLike[str]) -> Difference | None:
+    """Verify a log and write the same run in the profile ``full``.
+
+    Metadata and attachments stay as they are; of a full log this is a copy with the same digest.
+    Weights that the log does not have are NaN in the new one.
+
+    Parameters
+    ----------
+    run
+        The run, from `load_run`.
+    out
+        The log to be; it must not exist.
+
+    Returns
+    -------
+    Difference or None
+        As `verify`; there is no new log if the old one differs.
+
+    Raises
+    ------
+    FileExistsError
+        If `out` exists.
+    LogError, ValueError
+        As `verify`; nothing is written then.
+    """
+    path = Path(out)
+    part = path.with_name(path.name + ".part")
+    for taken in (path, part):
+        if taken.exists():
+            raise FileExistsError(f"{taken}: exists; expanding a log never overwrites a file")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    scenario = run.scenario
+    writer = LogWriter(
+        path,
+        log_dims(scenario),
+        "full",
+        {key: text for key, text in run.metadata.items() if key != "profile"},
+        {name: data for name, data in run.attachments.items() if name != "hiersched.proto"},
+        slot_ns=round(scenario.radio.slot_s * 1e9),
+        compression=scenario.log.compression,
+        chunk_bytes=scenario.log.chunk_bytes,
+    )
+
+    def write(batch: Batch, record: SlotRecord) -> None:
+        count = batch.num_envs * batch.num_slots
+        fields: dict[str, NDArray[Any]] = {
+            name: np.ascontiguousarray(values).reshape(count, *values.shape[2:])
+            for name, values in record._asdict().items()
+        }
+        writer.write_block(batch.first_slot, fields)
+
+    try:
+        difference = verify(run, write)
+        if difference is None:
+            with LogReader(run.path, verify="chunks") as log:
+                for event in log.events():  # those that were computed, too
+                    writer.event(*event)
+            writer.close()
+        return difference
+    finally:
+        writer.abort()  # nothing to do where it is closed
+        part.unlink(missing_ok=True)
