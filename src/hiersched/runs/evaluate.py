@@ -6,7 +6,7 @@ from pathlib import Path
 
 from hiersched.runs import paths
 from hiersched.runs.gains import load_gains
-from hiersched.runs.logging import RunLabel, clear_logs, log_block, open_log
+from hiersched.runs.logging import RunLabel, clear_logs, write_log
 from hiersched.runs.policies import PolicyRunner
 from hiersched.runs.variants import group_policies
 from hiersched.scenario import Scenario
@@ -33,14 +33,7 @@ def evaluate(scenario: Scenario, results: Path, group: str, run: PolicyRunner) -
         files = {seed: results / paths.evaluation_log(policy, seed) for seed in seeds}
         clear_logs(files[seeds[0]].parent, set(files.values()))
         for world in run(scenario, gains, policy, "evaluate", seeds, num_slots):
-            with open_log(
-                files[world.seed],
-                scenario,
-                schedule,
-                RunLabel(stage="evaluate", policy=policy, seed=world.seed),
-                profile=scenario.log.evaluate_profile,
-                metadata=world.metadata,
-                attachments=world.attachments,
-            ) as writer:
-                log_block(writer, scenario, schedule, world.fields)
+            label = RunLabel(stage="evaluate", policy=policy, seed=world.seed)
+            profile = scenario.log.evaluate_profile
+            write_log(files[world.seed], scenario, schedule, label, world, profile=profile)
         print(f"evaluate {policy}: {len(seeds)} worlds of {num_slots} slots", flush=True)

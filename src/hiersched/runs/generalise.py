@@ -6,7 +6,7 @@ from pathlib import Path
 
 from hiersched.runs import paths
 from hiersched.runs.gains import load_gains
-from hiersched.runs.logging import RunLabel, clear_logs, log_block, open_log
+from hiersched.runs.logging import RunLabel, clear_logs, write_log
 from hiersched.runs.policies import PolicyRunner
 from hiersched.runs.variants import cell_scenario, cell_text, group_policies
 from hiersched.scenario import Scenario
@@ -37,20 +37,13 @@ def generalise(scenario: Scenario, results: Path, group: str, run: PolicyRunner)
         policies = group_policies(scenario, scenario.generalise.policies, group)
         for policy in policies:
             for world in run(variant, gains, policy, "generalise", seeds, num_slots):
-                with open_log(
+                point = {"axis": "cell", "value": cell_text(cell)}
+                write_log(
                     results / paths.cell_log(cell, policy, world.seed),
                     variant,
                     schedule,
-                    RunLabel(
-                        stage="generalise",
-                        policy=policy,
-                        seed=world.seed,
-                        axis="cell",
-                        value=cell_text(cell),
-                    ),
+                    RunLabel(stage="generalise", policy=policy, seed=world.seed, **point),
+                    world,
                     profile=scenario.log.sweep_profile,
-                    metadata=world.metadata,
-                    attachments=world.attachments,
-                ) as writer:
-                    log_block(writer, variant, schedule, world.fields)
+                )
         print(f"generalise {cell_text(cell)}: {', '.join(policies)}", flush=True)

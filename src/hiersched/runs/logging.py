@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,9 @@ from hiersched.control import GainSchedule
 from hiersched.log import LogDims, LogWriter
 from hiersched.runs.events import slot_events
 from hiersched.scenario import Scenario, scenario_sha256, scenario_to_yaml
+
+if TYPE_CHECKING:
+    from hiersched.runs.policies import WorldRun
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -107,6 +110,28 @@ def log_block(
     writer.write_block(first_slot, logged_fields(writer.profile, scenario, fields))
     for event in slot_events(scenario, schedule, fields, first_slot):
         writer.event(event.slot, event.level, event.name, event.message)
+
+
+def write_log(
+    path: Path,
+    scenario: Scenario,
+    schedule: GainSchedule,
+    label: RunLabel,
+    run: WorldRun,
+    *,
+    profile: str,
+) -> None:
+    """Write the log of what a policy did in one world; see `open_log`."""
+    with open_log(
+        path,
+        scenario,
+        schedule,
+        label,
+        profile=profile,
+        metadata=run.metadata,
+        attachments=run.attachments,
+    ) as writer:
+        log_block(writer, scenario, schedule, run.fields)
 
 
 def logged_fields(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from hiersched.runs import paths
 from hiersched.runs.gains import load_gains
-from hiersched.runs.logging import RunLabel, clear_logs, log_block, open_log
+from hiersched.runs.logging import RunLabel, clear_logs, write_log
 from hiersched.runs.policies import PolicyRunner
 from hiersched.runs.variants import (
     group_policies,
@@ -47,20 +47,13 @@ def sweep(scenario: Scenario, results: Path, axis: str, group: str, run: PolicyR
         num_slots = round(scenario.sweeps.duration_s / variant.radio.slot_s)
         for policy in policies:
             for world in run(variant, gains, policy, "sweep", seeds, num_slots):
-                with open_log(
+                point = {"axis": axis, "value": value_text(value)}
+                write_log(
                     results / paths.sweep_log(axis, policy, value, world.seed),
                     variant,
                     schedule,
-                    RunLabel(
-                        stage="sweep",
-                        policy=policy,
-                        seed=world.seed,
-                        axis=axis,
-                        value=value_text(value),
-                    ),
+                    RunLabel(stage="sweep", policy=policy, seed=world.seed, **point),
+                    world,
                     profile=scenario.log.sweep_profile,
-                    metadata=world.metadata,
-                    attachments=world.attachments,
-                ) as writer:
-                    log_block(writer, variant, schedule, world.fields)
+                )
         print(f"sweep {axis} = {value_text(value)}: {', '.join(policies)}", flush=True)
