@@ -10,7 +10,6 @@ an evaluation's time goes into its logs.
 
 from __future__ import annotations
 
-import itertools
 import statistics
 import sys
 import tempfile
@@ -27,11 +26,15 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.decoder import DecoderFactory
 
-from hiersched.learning.networks import ACTOR_INPUTS
+from hiersched.control import GainSchedule
+from hiersched.env.features import num_features
+from hiersched.learning.networks import NETWORKS, Slices
 from hiersched.learning.policy import Policy, rollout
 from hiersched.log import TOPICS, LogDims, LogReader, LogWriter
-from hiersched.log.schema import descriptor_set
+from hiersched.log.schema import descriptor_set, topics_in
 from hiersched.randomness import world_keys
+from hiersched.runs.gains import design_gains, load_gains
+from hiersched.runs.logging import RunLabel, log_block, open_log
 from hiersched.scenario import Scenario, load_scenario
 from hiersched.simulator import Simulator, SlotRecord
 from hiersched.simulator.gains import LoopGains, plant_of
@@ -47,7 +50,7 @@ def random_fields(slots: int, dims: LogDims = DIMS, seed: int = 0) -> dict[str, 
     """All fields of the `full` profile: integers as small as in a run, mantissas random."""
     rng = np.random.default_rng(seed)
     fields: dict[str, Any] = {}
-    for topic in TOPICS.values():
+    for topic in topics_in("full").values():
         for field in topic.fields[1:]:
             shape = (slots, *field.concrete_shape(dims))
             if field.dtype == "<u4":
@@ -97,13 +100,13 @@ def write_stock(path: Path, fields: dict[str, Any], compression: str) -> None:
         writer = Writer(stream, compression=kind, enable_data_crcs=True)
         writer.start(library="stock")
         ids = {}
-        for topic in TOPICS.values():
+        for topic in topics_in("full").values():
             schema = writer.register_schema(
                 topic.message, "protobuf", descriptor_set(topic.message)
             )
             ids[topic.name] = writer.register_channel(topic.name, "protobuf", schema)
         for slot in range(slots):
-            for topic in TOPICS.values():
+            for topic in topics_in("full").values():
                 message = classes[topic.name](slot=slot)
                 for field in topic.fields[1:]:
                     values = fields[field.name][slot]
@@ -141,39 +144,77 @@ def cpu_seconds(work: Callable[[], None]) -> float:
     return time.process_time() - start
 
 
-def logging_share(worlds: int = 5, slots: int = 1400) -> dict[str, float]:
-    """CPU time that goes into logs, of simulating and logging an evaluation's worlds."""
-    runs: dict[str, Callable[[Simulator], SlotRecord]] = {
-        "pf": lambda simulator: simulator.run("pf"),
-        "ddpg": lambda simulator: rollout(simulator, some_policy(simulator.scenario)),
-    }
-    shares: dict[str, list[float]] = {}
-    with tempfile.TemporaryDirectory() as folder:
+def logging_times(worlds: int = 2, slots: int = 1400) -> dict[str, tuple[float, float]]:
+    """CPU time [us a slot] of computing and of logging the evaluation of scenario `paper`.
+
+    By policy, as the stage runs it: classical schedulers with all worlds side by side, each learned
+    policy in a world of its own; full logs, with attachments and events.
+    """
+    scenario = load_scenario("paper", defaults=Path("config/defaults.yaml"))
+    times: dict[str, list[tuple[float, float]]] = {}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        design_gains(scenario, "schedule", folder / "gains.json")
+        schedule, gains = load_gains(folder / "gains.json", scenario)
         for _ in range(ROUNDS):
-            for name, work in runs.items():
-                simulator = paper_simulator(worlds, slots)
-                records: list[SlotRecord] = []
-                computing = cpu_seconds(lambda w=work, s=simulator, r=records: r.append(w(s)))
-                logging = cpu_seconds(
-                    lambda r=records: [
-                        write_ours(Path(folder, f"{env}.mcap"), r[0].environment(env), "zstd")
-                        for env in range(worlds)
-                    ]
-                )
-                shares.setdefault(name, []).append(logging / (computing + logging))
-    return {name: statistics.median(values) for name, values in shares.items()}
+            for policy in scenario.evaluate.policies:
+                side_by_side = 1 if policy in scenario.learned else worlds
+                run = runner(scenario, policy)
+                computing = logging = 0.0
+                for first in range(0, worlds, side_by_side):
+                    keys = world_keys("bench", 1 + first, side_by_side)
+                    simulator = Simulator(scenario, gains, keys, slots)
+                    records: list[SlotRecord] = []
+                    computing += cpu_seconds(lambda r=records, s=simulator, w=run: r.append(w(s)))
+                    logging += cpu_seconds(
+                        lambda r=records: write_evaluation(folder, scenario, schedule, r[0])
+                    )
+                per_slot = 1e6 / (worlds * slots)
+                times.setdefault(policy, []).append((computing * per_slot, logging * per_slot))
+    return {
+        name: (statistics.median(c for c, _ in rounds), statistics.median(t for _, t in rounds))
+        for name, rounds in times.items()
+    }
 
 
-def some_policy(scenario: Scenario) -> Policy:
-    """A policy with small random weights: it takes as long as a trained one."""
-    sizes = (ACTOR_INPUTS, *scenario.learning.hidden, 1)
-    count = sum(a * b + b for a, b in itertools.pairwise(sizes))
-    parameters = np.random.default_rng(0).normal(scale=0.05, size=(2, count)).astype(np.float32)
+def runner(scenario: Scenario, policy: str) -> Callable[[Simulator], SlotRecord]:
+    """What runs a policy of the evaluation to the horizon."""
+    if policy in scenario.learned:
+        learned = some_policy(scenario, policy)
+        return lambda simulator: rollout(simulator, learned)
+    return lambda simulator: simulator.run(policy)
+
+
+def write_evaluation(
+    folder: Path, scenario: Scenario, schedule: GainSchedule, record: SlotRecord
+) -> None:
+    """Log every world of a record as the stage does."""
+    for world in range(len(record.prb_owner)):
+        path = folder / f"{world}.mcap"
+        path.unlink(missing_ok=True)  # replacing a file makes ext4 flush the new one
+        label = RunLabel(stage="evaluate", policy="any", seed=world)
+        with open_log(path, scenario, schedule, label, profile="full") as writer:
+            log_block(writer, scenario, schedule, record.environment(world))
+
+
+def some_policy(scenario: Scenario, learner: str) -> Policy:
+    """A learner's policy with small random weights: it takes as long as a trained one."""
+    learning, users = scenario.learned[learner], scenario.users
+    network = NETWORKS[learning.network](
+        Slices(users.num_urllc, users.num_embb),
+        num_features(learning.observe_robots),
+        learning.hidden,
+    )
+    shape = (2, network.actor.num_parameters)
     return Policy(
-        parameters=parameters,
-        hidden=scenario.learning.hidden,
-        weight_exponent=scenario.learning.weight_exponent,
-        multipliers=np.zeros(scenario.users.num_urllc),
+        parameters=np.random.default_rng(0).normal(scale=0.05, size=shape).astype(np.float32),
+        network=learning.network,
+        hidden=learning.hidden,
+        start=learning.start,
+        observe_robots=learning.observe_robots,
+        num_embb=users.num_embb,
+        weight_exponent=learning.weight_exponent,
+        multipliers=np.zeros(users.num_urllc),
         seed=0,
         scenario_sha256="",
     )
@@ -219,9 +260,13 @@ def run(slots: int = 20_000) -> dict[str, float]:
                     f"  {what:5} {packing:4} {ours_speed:10,.0f} slots/s  {ratio:6.1f} x stock  "
                     f"{result[f'bytes {packing}']:6.0f} B/slot"
                 )
-    for policy, share in logging_share().items():
+    print("evaluation of scenario paper [CPU us a slot]: computing, logging, share of logging")
+    times = logging_times()
+    whole = tuple(sum(column) for column in zip(*times.values(), strict=True))
+    for policy, (computing, logging) in {**times, "all policies": whole}.items():
+        share = logging / (computing + logging)
         result[f"share {policy}"] = share
-        print(f"  logging takes {100 * share:.0f} % of an evaluation of {policy}")
+        print(f"  {policy:20}{computing:8.1f}{logging:8.1f}{100 * share:6.0f} %")
     return result
 
 

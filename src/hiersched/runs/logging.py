@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,9 +58,10 @@ def open_log(
         Further ones, such as the weights of a policy.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
+    attached = _attached(scenario, schedule)
     text = {
         "scenario": scenario.name,
-        "scenario_sha256": scenario_sha256(scenario),
+        "scenario_sha256": attached.scenario_sha256,
         "seed": str(label.seed),
         "policy": label.policy,
         "stage": label.stage,
@@ -69,21 +70,42 @@ def open_log(
         "gain": scenario.control.gain,
         **(metadata or {}),
     }
-    files = {
-        "scenario.yaml": scenario_to_yaml(scenario).encode(),
-        "schedule.json": schedule.to_json().encode(),
-        **(attachments or {}),
-    }
     return LogWriter(
         path,
         log_dims(scenario),
         profile,
         text,
-        files,
+        {**attached.files, **(attachments or {})},
         slot_ns=round(scenario.radio.slot_s * 1e9),
         compression=scenario.log.compression,
         chunk_bytes=scenario.log.chunk_bytes,
     )
+
+
+class _Attached(NamedTuple):
+    """What every log of a scenario and a schedule carries."""
+
+    scenario: Scenario
+    schedule: GainSchedule
+    scenario_sha256: str
+    files: dict[str, bytes]
+
+
+_last_attached: list[_Attached] = []
+
+
+def _attached(scenario: Scenario, schedule: GainSchedule) -> _Attached:
+    """Write scenario and schedule as text, once for logs in a row that share these very objects.
+
+    It takes longer than to simulate the 1400 slots of an evaluation and to log them.
+    """
+    if not any(a.scenario is scenario and a.schedule is schedule for a in _last_attached):
+        files = {
+            "scenario.yaml": scenario_to_yaml(scenario).encode(),
+            "schedule.json": schedule.to_json().encode(),
+        }
+        _last_attached[:] = [_Attached(scenario, schedule, scenario_sha256(scenario), files)]
+    return _last_attached[0]
 
 
 def log_dims(scenario: Scenario) -> LogDims:
