@@ -148,7 +148,7 @@ def draw_pareto(policies: pd.DataFrame, scenario: Scenario) -> Figure:
     axes[0].set_xlabel("late share of due URLLC packets [1]")
     axes[1].set_title("(b) eMBB rate against tracking error")
     axes[1].set_xlabel("tracking error of the robots [cm]")
-    shared_legend(figure, axes[0], columns=6)
+    shared_legend(figure, axes[0], columns=5)
     caption(
         figure,
         f"Means and Student t 95 % intervals over {len(scenario.evaluate.seeds)} worlds. Up and "
