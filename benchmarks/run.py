@@ -54,7 +54,7 @@ def main() -> None:
             rows.append(
                 (f"log, {what}, {packing}", speed, f"{goal}({ratio:.1f} x the stock {what} speed)")
             )
-    for policy in ("pf", "ddpg"):
+    for policy in ("pf", "ddpg", "all policies"):
         share = f"{100 * log[f'share {policy}']:.0f} %"
         rows.append((f"logging's share of an evaluation of {policy}", share, "33 %"))
     rows.append(("gain table, design", f"{gains['design']:.2f} s", "15 s"))
