@@ -18,6 +18,8 @@ from hiersched.log.layout import RecordLayout, as_raw, raw_columns, record_layou
 from hiersched.log.logfile import LogFile
 from hiersched.log.schema import EVENTS_TOPIC, TOPICS
 
+_OLDER_COMPACT = " (compact logs of earlier versions had more fields: they have to be written anew)"
+
 
 class TopicContent(NamedTuple):
     """What a topic takes in a file [bytes]."""
@@ -106,7 +108,8 @@ class LogReader:
                     self.path,
                     self._file.summary_start,
                     f"the chunks of {name} have {sum(sizes)} bytes, "
-                    f"its {self._count(name)} messages of {itemsize} bytes need another number",
+                    f"its {self._count(name)} messages of {itemsize} bytes need another number"
+                    + (_OLDER_COMPACT if self.profile == "compact" else ""),
                 )
 
     def _count(self, name: str) -> int:
