@@ -32,7 +32,8 @@ control: {max_delay_s: 0.04}
 robot: {window_s: 0.1}
 learning: {seeds: [1], episodes: 4, slots_per_episode: 12, num_envs: 2, hidden: [8],
            batch_size: 8, warmup_slots: 4}
-evaluate: {seeds: [11, 12], duration_s: 0.4, policies: [ddpg, pf, edf, drift_plus_penalty]}
+learners: {flat: {algorithm: a2c, network: mlp, start: drift_plus_penalty, seeds: [2]}}
+evaluate: {seeds: [11, 12], duration_s: 0.4, policies: [ddpg, flat, pf, edf, drift_plus_penalty]}
 sweeps: {seeds: [21], duration_s: 0.1, policies: [ddpg, pf], rayleigh_scale: [0.5],
          sampling_s: [0.02], reference: [arc], load: [0.9]}
 generalise: {seeds: [41], duration_s: 0.1, policies: [ddpg, pf], cells: [[3, 2, 6]]}
@@ -54,9 +55,13 @@ def study(small: Scenario, tmp_path_factory: pytest.TempPathFactory) -> Path:
     results = tmp_path_factory.mktemp("study")
     for design in gain_designs(small):
         design_gains(small, design, results / paths.gain_file(design))
-    train_and_log(small, "ddpg", results, "code", show=False)
-    learned = LearnedRunner([results / name for name in paths.policy_files(small, "ddpg")])
-    for group, run in (("classical", run_classical), ("ddpg", learned)):
+    learned = {}
+    for learner in small.learned:
+        train_and_log(small, learner, results, "code", show=False)
+        files = paths.policy_files(small, learner)
+        learned[learner] = LearnedRunner([results / name for name in files])
+    evaluate(small, results, "flat", learned["flat"])
+    for group, run in (("classical", run_classical), ("ddpg", learned["ddpg"])):
         evaluate(small, results, group, run)
         for axis in ("rayleigh_scale", "reference"):
             sweep(small, results, axis, group, run)

@@ -28,6 +28,7 @@ def fields_of(path: Path) -> dict[str, np.ndarray]:
         "eval/drift_plus_penalty/seed12.mcap",
         "eval/ddpg/seed11.mcap",
         "eval/ddpg/seed12.mcap",
+        "eval/flat/seed12.mcap",
         "sweep/rayleigh_scale/pf/0.5_seed21.mcap",
         "sweep/reference/ddpg/arc_seed21.mcap",
     ],

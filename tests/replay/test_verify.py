@@ -25,6 +25,7 @@ from hiersched.runs.variants import gain_designs
 from hiersched.scenario import Scenario
 
 FULL = "eval/edf/seed12.mcap"
+EVALUATED = ("ddpg", "flat", "pf", "edf", "drift_plus_penalty")
 SWEEP = "sweep/reference/ddpg/arc_seed21.mcap"
 TOPIC_OF = {field.name: name for name, topic in TOPICS.items() for field in topic.fields[1:]}
 
@@ -39,7 +40,8 @@ def test_every_log_of_a_study_is_what_the_simulator_computes(study: Path) -> Non
         assert verify(run) is None, path
     assert stages == {
         ("train", "ddpg"): 1,
-        **{("evaluate", policy): 2 for policy in ("ddpg", "pf", "edf", "drift_plus_penalty")},
+        ("train", "flat"): 1,
+        **{("evaluate", policy): 2 for policy in EVALUATED},
         **{("sweep", policy): 2 for policy in ("ddpg", "pf")},
         **{("generalise", policy): 1 for policy in ("ddpg", "pf")},
         ("gain_study", "none"): 2 + 5,  # nominal on both plants, five methods

@@ -30,6 +30,7 @@ NOT_A_USE = {
     "swept_scenario",
     "cell_scenario",
     "group_policies",
+    "learner_scenario",
     "study_scenario",
     "gain_designs",
     "gain_points",

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -21,7 +22,13 @@ from hiersched.runs.variants import (
     value_text,
     weighted_scenario,
 )
-from hiersched.scenario import Scenario, ScenarioError, scenario_to_dict
+from hiersched.scenario import (
+    Scenario,
+    ScenarioError,
+    load_resolved,
+    scenario_to_dict,
+    scenario_to_yaml,
+)
 
 
 @pytest.mark.parametrize(
@@ -118,11 +125,17 @@ def test_points_of_the_gain_sweeps(tiny: Scenario) -> None:
 
 
 def test_a_learner_trains_in_a_scenario_of_its_own(tiny: Scenario) -> None:
-    """Nothing of the others is left in it, so that they do not matter to its files."""
+    """Nothing of the others is left in it, and it can be read back from a log."""
     flat = replace(tiny.learning, network="mlp", seeds=(7, 8))
-    two = replace(tiny, learners={"flat": flat, "slow": replace(tiny.learning, actor_lr=1e-5)})
-    assert learner_scenario(two, "flat") == replace(tiny, learning=flat)
-    assert learner_scenario(two, "ddpg") == tiny
+    named = replace(tiny.evaluate, policies=("ddpg", "flat", "pf", "slow"))
+    slow = replace(tiny.learning, actor_lr=1e-5)
+    two = replace(tiny, learners={"flat": flat, "slow": slow}, evaluate=named)
+    own = learner_scenario(two, "flat")
+    assert (own.learning, own.learners) == (flat, {})
+    assert own.evaluate.policies == ("ddpg", "pf")
+    faster = replace(two, learners={"flat": flat, "slow": tiny.learning})
+    assert learner_scenario(faster, "flat") == own
+    assert load_resolved(scenario_to_yaml(own), Path("log"))[0] == own
     assert paths.training_logs(two, "flat") == ["train/flat/seed7.mcap", "train/flat/seed8.mcap"]
     with pytest.raises(ValueError, match="'fast': must be one of ddpg, flat, slow"):
         learner_scenario(two, "fast")

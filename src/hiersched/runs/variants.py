@@ -217,6 +217,9 @@ def _designed_for(control: Control) -> Control:
 def learner_scenario(scenario: Scenario, learner: str) -> Scenario:
     """Return the scenario as one learner trains in it: its section `learning`, and no others.
 
+    Lists of policies name this learner, by its algorithm, and the schedulers: the scenario holds
+    together on its own, as a log's has to.
+
     Raises
     ------
     ValueError
@@ -224,7 +227,21 @@ def learner_scenario(scenario: Scenario, learner: str) -> Scenario:
     """
     if learner not in scenario.learned:
         raise ValueError(f"learner = {learner!r}: must be one of {', '.join(scenario.learned)}")
-    return replace(scenario, learning=scenario.learned[learner], learners={})
+    learning = scenario.learned[learner]
+
+    def own(policies: tuple[str, ...]) -> tuple[str, ...]:
+        kept = [policy for policy in policies if policy not in scenario.learned]
+        return (learning.algorithm, *kept)
+
+    evaluate, sweeps, cells = scenario.evaluate, scenario.sweeps, scenario.generalise
+    return replace(
+        scenario,
+        learning=learning,
+        learners={},
+        evaluate=replace(evaluate, policies=own(evaluate.policies)),
+        sweeps=replace(sweeps, policies=own(sweeps.policies)),
+        generalise=replace(cells, policies=own(cells.policies)),
+    )
 
 
 def policy_groups(scenario: Scenario) -> tuple[str, ...]:
