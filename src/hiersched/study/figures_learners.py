@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from hiersched.scenario import Scenario
 from hiersched.study.collect import BASELINE
+from hiersched.study.figures_standing import LOAD_PANELS
 from hiersched.study.figures_training import training_curve
 from hiersched.study.standing import COST
 from hiersched.study.style import (
@@ -27,12 +28,6 @@ _CURVES = (
     ("urllc_late_share", "late URLLC packets", "share of due packets [1]"),
     ("urllc_backlog_packets", "URLLC queue", "backlog per user [packets]"),
     ("embb_backlog_packets", "eMBB queue", "backlog per user [packets]"),
-)
-_LOAD_PANELS = (
-    ("urllc_late_share", "late URLLC packets", "share of due packets [1]"),
-    ("tracking_error_cm", "robots: RMS position error", "tracking error [cm]"),
-    (COST, "cost of the network", "drift + V penalty a slot [packets²]"),
-    ("embb_rate_mbps", "eMBB data rate", "rate per user [Mbit/s]"),
 )
 BESIDE = (BASELINE, "drift_plus_penalty")
 """Schedulers that are shown beside the learners."""
@@ -103,7 +98,7 @@ def draw_learners(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     figure = Figure(figsize=(7.2, 2.15 * PANEL_HEIGHT_IN), layout="constrained")
     axes = [axis for row in figure.subplots(2, 2, squeeze=False) for axis in row]
     loads = np.arange(len(scenario.sweeps.load))
-    for panel, (measure, title, label), letter in zip(axes, _LOAD_PANELS, "abcd", strict=True):
+    for panel, (measure, title, label), letter in zip(axes, LOAD_PANELS, "abcd", strict=True):
         floor = zero_floor(table[measure]) if measure == "urllc_late_share" else None
         for number, policy in enumerate(policies):
             own = table[table["policy"] == policy]

@@ -28,7 +28,7 @@ from hiersched.study.style import (
 TAIL_END = 1e-4
 """The complementary distribution of delay ends here: rarer packets are too few to show."""
 
-_LOAD_PANELS = (
+LOAD_PANELS = (
     ("urllc_late_share", "late URLLC packets", "share of due packets [1]"),
     ("tracking_error_cm", "robots: RMS position error", "tracking error [cm]"),
     (COST, "cost of the network", "drift + V penalty a slot [packets²]"),
@@ -46,7 +46,7 @@ def draw_load(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     axes = [axis for row in figure.subplots(2, 2, squeeze=False) for axis in row]
     policies = [str(policy) for policy in dict.fromkeys(table["policy"])]
     loads = [float(load) for load in scenario.sweeps.load]
-    for panel, (measure, title, label), letter in zip(axes, _LOAD_PANELS, "abcd", strict=True):
+    for panel, (measure, title, label), letter in zip(axes, LOAD_PANELS, "abcd", strict=True):
         floor = zero_floor(table[measure]) if measure == "urllc_late_share" else None
         for policy in policies:
             own = table[table["policy"] == policy]
