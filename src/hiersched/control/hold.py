@@ -78,6 +78,8 @@ def hold_delays(delay_steps: npt.ArrayLike, hold_samples: SupportsIndex) -> IntA
         If N is negative or not whole.
     """
     delays = np.asarray(delay_steps, dtype=np.int64)
+    if _as_hold_samples(hold_samples) == 0:
+        return delays.copy()  # what the steps below come to, without a step a sample
     levels = np.empty_like(delays)
     held = remaining = np.zeros(delays.shape[1:], dtype=np.int64)
     for k, delay in enumerate(delays):
