@@ -12,13 +12,14 @@ import pytest
 from hiersched.scenario import Scenario
 from hiersched.study.collect import sweep_frame, training_frames
 from hiersched.study.figures_learners import draw_learners, draw_learning
-from hiersched.study.learners import LEARNER_MEASURES, differing_keys, learner_table
+from hiersched.study.learners import differing_keys, learner_table
+from hiersched.study.standing import CELL_MEASURES
 from hiersched.study.style import house_style, policy_look
 from hiersched.study.summary import sweep_table
 
 
 def runs_of(policy: str, values: list[float], load: float) -> pd.DataFrame:
-    columns = dict.fromkeys(LEARNER_MEASURES, values)
+    columns = dict.fromkeys(CELL_MEASURES, values)
     frame = pd.DataFrame({"seed": [21, 22, 23], **columns})
     return frame.assign(axis="load", value=load, policy=policy)
 

@@ -21,7 +21,7 @@ from hiersched.study.gain_logs import (
     schedule_state,
     stability_frame,
 )
-from hiersched.study.statistics import Interval, mean_interval, paired_ratio
+from hiersched.study.statistics import Interval, interval_columns, mean_interval, paired_ratio
 
 
 def methods_table(results: Path, scenario: Scenario) -> pd.DataFrame:
@@ -99,9 +99,9 @@ def compared(runs: pd.DataFrame) -> dict[str, Any]:
     by_gain = {gain: runs[runs["gain"] == gain] for gain in ("nominal", "adjusted")}
     row: dict[str, Any] = {}
     for gain, group in by_gain.items():
-        row |= _columns(f"{gain}_cm", mean_interval(group["error_cm"]))
+        row |= interval_columns(f"{gain}_cm", mean_interval(group["error_cm"]))
     nominal, adjusted = (by_gain[gain]["error_cm"].to_numpy() for gain in ("nominal", "adjusted"))
-    row |= _columns("ratio", paired_ratio(adjusted, nominal))
+    row |= interval_columns("ratio", paired_ratio(adjusted, nominal))
     row["seeds"] = len(nominal)
     for name in ("off_track", "saturated"):
         for gain, group in by_gain.items():
@@ -147,7 +147,3 @@ def _robots(results: Path, scenario: Scenario, method: str, gain: str) -> list[R
         read_robots(results / paths.gain_study_log(method, gain, seed), scenario)
         for seed in scenario.gain_study.seeds
     ]
-
-
-def _columns(name: str, interval: Interval) -> dict[str, float]:
-    return {name: interval.mean, f"{name}_lo": interval.lo, f"{name}_hi": interval.hi}

@@ -9,16 +9,8 @@ import numpy as np
 import pandas as pd
 
 from hiersched.scenario import Scenario
-from hiersched.study.standing import COST
-from hiersched.study.statistics import Interval, mean_interval, paired_difference
-
-LEARNER_MEASURES = (
-    "urllc_late_share",
-    "urllc_rate_mbps",
-    "embb_rate_mbps",
-    "tracking_error_cm",
-    COST,
-)
+from hiersched.study.standing import CELL_MEASURES
+from hiersched.study.statistics import interval_columns, mean_interval, paired_difference
 
 
 def differing_keys(scenario: Scenario, learner: str) -> dict[str, Any]:
@@ -64,16 +56,12 @@ def learner_table(sweeps: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
                 "differs": differing_text(scenario, learner),
                 "seeds": len(by_learner[learner]),
             }
-            for measure in LEARNER_MEASURES:
+            for measure in CELL_MEASURES:
                 values = by_learner[learner][measure]
-                row |= _columns(measure, mean_interval(values.to_numpy(np.float64)))
+                row |= interval_columns(measure, mean_interval(values.to_numpy(np.float64)))
                 if learner != own and own in by_learner:
                     base = by_learner[own][measure].loc[values.index]
                     gain = paired_difference(values.to_numpy(), base.to_numpy())
-                    row |= _columns(f"{measure}_minus_own", gain)
+                    row |= interval_columns(f"{measure}_minus_own", gain)
             rows.append(row)
     return pd.DataFrame(rows) if rows else pd.DataFrame(columns=["load", "learner", "differs"])
-
-
-def _columns(name: str, interval: Interval) -> dict[str, float]:
-    return {name: interval.mean, f"{name}_lo": interval.lo, f"{name}_hi": interval.hi}

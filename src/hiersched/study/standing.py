@@ -15,6 +15,7 @@ from hiersched.study.collect import BASELINE
 from hiersched.study.statistics import (
     Interval,
     interquartile_interval,
+    interval_columns,
     mean_interval,
     paired_difference,
     probability_of_improvement,
@@ -62,11 +63,11 @@ def standing(runs: pd.DataFrame) -> pd.DataFrame:
     for policy, group in runs.groupby("policy", sort=False):
         cost = group[COST].to_numpy(np.float64)
         row: dict[str, Any] = {"policy": policy}
-        row |= _columns("cost_iqm", interquartile_interval([cost]))
+        row |= interval_columns("cost_iqm", interquartile_interval([cost]))
         if best is not None:
             other = runs.loc[runs["policy"] == best, COST].to_numpy(np.float64)
             row["best_classical"] = best
-            row |= _columns("improvement", probability_of_improvement(cost, other))
+            row |= interval_columns("improvement", probability_of_improvement(cost, other))
         rows.append(row)
     return pd.DataFrame(rows)
 
@@ -109,7 +110,7 @@ def score_table(runs: pd.DataFrame, sweeps: pd.DataFrame) -> pd.DataFrame:
             score = interquartile_interval(strata)
             row = {"policy": policy, "loads": len(strata), "seeds": len(strata[0])}
             share = float(np.concatenate(cheaper).mean())
-            rows.append({**row, **_columns("score_iqm", score), "cheaper_worlds": share})
+            rows.append({**row, **interval_columns("score_iqm", score), "cheaper_worlds": share})
     return pd.DataFrame(rows)
 
 
@@ -135,12 +136,12 @@ def generalisation_table(runs: pd.DataFrame) -> pd.DataFrame:
                 row: dict[str, Any] = {"axis": axis, "value": value, "policy": policy}
                 row["seeds"] = len(own)
                 for name in CELL_MEASURES:
-                    row |= _columns(name, mean_interval(own[name].to_numpy(np.float64)))
+                    row |= interval_columns(name, mean_interval(own[name].to_numpy(np.float64)))
                 if best is not None:
                     cost = group.pivot(index="seed", columns="policy", values=COST)
                     row["best_classical"] = best
                     over = paired_difference(cost[policy], cost[best])
-                    row |= _columns("cost_over_best", over)
+                    row |= interval_columns("cost_over_best", over)
                 rows.append(row)
     return pd.DataFrame(rows)
 
@@ -189,13 +190,13 @@ def bound_table(slots: pd.DataFrame) -> pd.DataFrame:
                 "decider": decider,
                 "seeds": by_world.ngroups,
                 "slots": len(group),
-                **_columns("gap", mean_interval(by_world["gap"].mean())),
+                **interval_columns("gap", mean_interval(by_world["gap"].mean())),
                 "gap_max": float(gap.max()),
                 "gap_share": float(gap.sum() / group["exact"].abs().sum()),
                 "share_optimal": float((gap <= 1e-6 * size).mean()),
                 "uncertified": float((group["exact"] - group["bound"]).max()),
-                **_columns("first_gap", _by_world(first, group["seed"])),
-                **_columns("first_log_rate_gap", _by_world(log_rate, group["seed"])),
+                **interval_columns("first_gap", _by_world(first, group["seed"])),
+                **interval_columns("first_log_rate_gap", _by_world(log_rate, group["seed"])),
             }
         )
     return pd.DataFrame(rows)
@@ -204,7 +205,3 @@ def bound_table(slots: pd.DataFrame) -> pd.DataFrame:
 def _by_world(values: pd.Series, seeds: pd.Series) -> Interval:
     means: Sequence[float] = values.groupby(seeds).mean().to_list()
     return mean_interval(means)
-
-
-def _columns(name: str, interval: Interval) -> dict[str, float]:
-    return {name: interval.mean, f"{name}_lo": interval.lo, f"{name}_hi": interval.hi}

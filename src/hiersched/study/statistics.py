@@ -27,6 +27,11 @@ class Interval(NamedTuple):
     hi: float
 
 
+def interval_columns(name: str, interval: Interval) -> dict[str, float]:
+    """Return columns of a table: the estimate as `name`, its bounds as ``_lo`` and ``_hi``."""
+    return {name: interval.mean, f"{name}_lo": interval.lo, f"{name}_hi": interval.hi}
+
+
 def mean_interval(values: npt.ArrayLike, level: float = LEVEL) -> Interval:
     """Return the mean and its Student t interval, mean +- t s / sqrt(n).
 

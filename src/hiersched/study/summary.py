@@ -21,6 +21,7 @@ from hiersched.study.statistics import (
     Interval,
     bootstrap_interval,
     interquartile_mean,
+    interval_columns,
     mean_interval,
     paired_difference,
     paired_ratio,
@@ -91,7 +92,7 @@ def summarise(runs: pd.DataFrame, by: Sequence[str], names: Sequence[str]) -> pd
         row: dict[str, Any] = dict(zip(by, key, strict=True))
         row["seeds"] = len(group)
         for name in names:
-            row |= _columns(name, mean_interval(group[name].to_numpy(dtype=np.float64)))
+            row |= interval_columns(name, mean_interval(group[name].to_numpy(dtype=np.float64)))
         rows.append(row)
     return pd.DataFrame(rows)
 
@@ -152,8 +153,8 @@ def _compared(runs: pd.DataFrame, policy: str, baseline: str) -> list[dict[str, 
                 "seeds": len(a),
                 "mean": float(a.mean()),
                 "baseline_mean": float(b.mean()),
-                **_columns("ratio", paired_ratio(a, b)),
-                **_columns("difference", paired_difference(a, b)),
+                **interval_columns("ratio", paired_ratio(a, b)),
+                **interval_columns("difference", paired_difference(a, b)),
                 "seeds_below_baseline": int((a < b).sum()),
             }
         )
@@ -177,7 +178,7 @@ def gain_table(gains: pd.DataFrame) -> pd.DataFrame:
                 "slot": slot,
                 "nominal_cm": float(nominal.mean()),
                 "adjusted_cm": float(adjusted.mean()),
-                **_columns("ratio", paired_ratio(adjusted, nominal)),
+                **interval_columns("ratio", paired_ratio(adjusted, nominal)),
                 **_bounds("nominal_cm", mean_interval(nominal)),
                 **_bounds("adjusted_cm", mean_interval(adjusted)),
                 "seeds": len(by_gain),
@@ -219,13 +220,15 @@ def rate_table(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
             raise ValueError(f"slot {slot}: the runs have {gain.shape[1]} slots")
         printed = TABLE3.get(slot) if isinstance(slot, int) else None
         row: dict[str, Any] = {"slot": slot, "seeds": len(seeds)}
-        row |= _columns("channel_gain", mean_interval(gain[:, at].mean(axis=1)))
+        row |= interval_columns("channel_gain", mean_interval(gain[:, at].mean(axis=1)))
         for name, policy in (("drl", learned), ("pf", BASELINE)):
             if policy in rates:
-                row |= _columns(f"{name}_mbps", mean_interval(rates[policy][:, at].mean(axis=1)))
+                row |= interval_columns(
+                    f"{name}_mbps", mean_interval(rates[policy][:, at].mean(axis=1))
+                )
         if len(rates) == 2:
             own, other = (rates[p][:, at].mean(axis=1) for p in (learned, BASELINE))
-            row |= _columns("ratio", paired_ratio(own, other))
+            row |= interval_columns("ratio", paired_ratio(own, other))
         for field in ("channel_gain", "drl_mbps", "pf_mbps"):
             row[f"paper_{field}"] = getattr(printed, field) if printed else math.nan
         rows.append(row)
@@ -261,10 +264,6 @@ def schedule_table(schedules: dict[str, GainSchedule], scenario: Scenario) -> pd
                 }
             )
     return pd.DataFrame(rows)
-
-
-def _columns(name: str, interval: Interval) -> dict[str, float]:
-    return {name: interval.mean, **_bounds(name, interval)}
 
 
 def _bounds(name: str, interval: Interval) -> dict[str, float]:
