@@ -79,13 +79,24 @@ def delays_of_run(
     bounds = {point.value: point.violation_delay_s for point in gain_points(variant, axis)}
     if value not in bounds:
         raise ValueError(f"{axis} = {value!r}: must be one of {', '.join(bounds)}")
+    return _sweep_delays(variant, keys, num_slots, num_robots, bounds[value])
+
+
+def _sweep_delays(
+    scenario: Scenario,
+    keys: NDArray[np.uint64],
+    num_slots: int,
+    num_robots: int,
+    violation_delay_s: tuple[float, float],
+) -> NDArray[np.float64]:
+    """Draw the delays of a sweep's point: the first window is calm, the others are violated."""
     return forced_delays(
-        variant,
+        scenario,
         keys,
         num_slots,
         num_robots,
-        violation_windows=range(2, variant.gain_study.sweep_windows + 1),
-        violation_delay_s=bounds[value],
+        violation_windows=range(2, scenario.gain_study.sweep_windows + 1),
+        violation_delay_s=violation_delay_s,
     )
 
 
@@ -142,13 +153,8 @@ def gain_sweep(scenario: Scenario, results: Path, axis: str) -> None:
     wanted = {results / name for name in paths.gain_sweep_logs(scenario, axis)}
     clear_logs(results / "gain_study" / axis, wanted)
     for point in gain_points(scenario, axis):
-        delays = forced_delays(
-            scenario,
-            keys,
-            num_slots,
-            study.sweep_robots,
-            violation_windows=range(2, study.sweep_windows + 1),
-            violation_delay_s=point.violation_delay_s,
+        delays = _sweep_delays(
+            scenario, keys, num_slots, study.sweep_robots, point.violation_delay_s
         )
         for gain in STUDY_GAINS:
             variant = point.variant(gain)
