@@ -78,7 +78,7 @@ def move(robot, state, control, slip=(0.0, 0.0), steps=1, place=0, lane=3):
 
 
 def move_in_lane(robot, state, control, slip, steps, place, lane):
-    lanes = robot_state(1, LANES, 3, 0.7).lanes[0, 0]
+    lanes = robot_state(1, LANES, 3, 200, 0.7, 0.0).lanes[0, 0]
     for field, values in ((STATE, state), (CONTROL, control), (SLIP, slip)):
         put(lanes, field, values, lane)
     path = path_scratch(steps)
@@ -185,7 +185,7 @@ def test_command_is_the_delayed_feedback_with_the_gain_of_its_delay(delays, seed
     rng = np.random.default_rng(seed)
     local, network = random_gains(seed, size=0.05)
     robot = constants(local=local, network=network, noise=0.01)
-    states = robot_state(1, 1, 3, 0.7)
+    states = robot_state(1, 1, 3, 200, 0.7, 0.0)
     measured = {k: np.zeros(5) for k in range(-3, 0)}
     for k, delay in enumerate(delays):
         x, normals = rng.normal(size=5), rng.normal(size=5).astype(np.float32)
@@ -208,7 +208,7 @@ def test_gains_with_memory_see_the_commands_that_were_applied(delays, seed):
     local, network = random_gains(seed)
     inputs, limit = rng.normal(size=(4, 3, 2, 2)), np.array([0.5, 3.0])
     robot = constants(local=local, network=network, inputs=inputs, limit=tuple(limit))
-    states = robot_state(1, 1, 3, 0.7)
+    states = robot_state(1, 1, 3, 200, 0.7, 0.0)
     measured = {k: np.zeros(5) for k in range(-3, 0)}
     applied = {k: np.zeros(2) for k in range(-4, 0)}
     for k, T in enumerate(delays):
@@ -233,7 +233,7 @@ def test_commands_stop_at_their_limits_and_say_so():
     network = np.zeros((4, 2, 5))
     network[0, 0, 0] = network[0, 1, 1] = 1.0
     robot = constants(network=network, limit=(0.5, 3.0))
-    states = robot_state(1, 1, 3, 0.7)
+    states = robot_state(1, 1, 3, 200, 0.7, 0.0)
     for x, control, saturated in [
         ([0.4, -2.0], [-0.4, 2.0], 0),
         ([0.6, 0.0], [-0.5, 0.0], 1),

@@ -30,7 +30,6 @@ def quiet(slots: int) -> dict[str, np.ndarray]:
     return {
         "hol_delay_s": np.zeros((slots, 4)),
         "delay_capped": np.zeros((slots, 2), np.uint32),
-        "network_delay_s": np.zeros((slots, 2)),
         "delay_steps": np.zeros((slots, 2), np.uint32),
         "control_saturated": np.zeros((slots, 2), np.uint32),
     }
@@ -43,7 +42,7 @@ def test_events_say_where_trouble_begins(tiny: Scenario, designed) -> None:
     fields["hol_delay_s"][:, 1] = [0, 0.02, 0.03, 0.05, 0.02, 0, 0.03, 0]
     fields["hol_delay_s"][:, 2] = 0.2  # an eMBB user has 0.3 s
     fields["delay_capped"][4:6, 0] = 1
-    fields["network_delay_s"][4:6, 0] = 0.06, 0.075
+    fields["delay_steps"][4:6, 0] = 3, 4
     fields["control_saturated"][7, 1] = 2
     found = [(e.slot, e.level, e.name, e.message) for e in slot_events(tiny, schedule, fields, 100)]
     assert found == [
@@ -52,7 +51,8 @@ def test_events_say_where_trouble_begins(tiny: Scenario, designed) -> None:
             104,
             "WARNING",
             "delay",
-            "robot 0: network delay up to 75 ms, capped at 2 samples for 2 slots",
+            "robot 0: measurements up to 4 samples old for 2 slots: beyond the 2 samples that gains "
+            "are designed for",
         ),
         (106, "WARNING", "queue", "user 1: head-of-line delay past 20 ms for 1 slots, up to 30 ms"),
         (107, "INFO", "control", "robot 1: 2 saturated commands in 1 slots"),

@@ -56,19 +56,20 @@ def twin(simulator, gains, record, env, robot):
     limits = np.array(section.input_limits)
     per_sample = round(control.sampling_s / simulator.scenario.radio.slot_s)
     steps = record.delay_steps[env, ::per_sample, robot].astype(int)
-    entries = hold_delays(steps, control.hold_samples)
+    largest = simulator.scenario.max_delay_steps
+    entries = hold_delays(np.minimum(steps, largest), control.hold_samples)
     normals = record.robot_normal[env, ::per_sample, robot].astype(float)
-    n, ring = len(A), simulator.scenario.max_delay_steps
-    x, y = [np.zeros(n)] * (ring + 1), [np.zeros(n)] * ring
-    u, saturated = [np.zeros(B.shape[1])] * ring, []
+    n, before = len(A), max(largest, steps.max())
+    x, y = [np.zeros(n)] * (before + 1), [np.zeros(n)] * before
+    u, saturated = [np.zeros(B.shape[1])] * before, []
     for T, entry, z in zip(steps, entries, normals, strict=True):
         y.append(x[-1] + section.measurement_noise * z[n:])
         wanted = -gains.network_gains[entry] @ y[-1 - T] - gains.local_gains[entry] @ y[-1]
-        wanted -= sum(gains.input_gains[entry, i] @ u[-1 - i] for i in range(ring))
+        wanted -= sum(gains.input_gains[entry, i] @ u[-1 - i] for i in range(largest))
         u.append(np.clip(wanted, -limits, limits))
         saturated.append((np.abs(wanted) > limits).any())
         x.append(A @ x[-1] + A_d @ x[-1 - T] + B @ u[-1] + section.process_noise * z[:n])
-    return np.array(x[ring:]), np.array(u[ring:]), np.array(saturated)
+    return np.array(x[before:]), np.array(u[before:]), np.array(saturated)
 
 
 @pytest.mark.parametrize(

@@ -36,10 +36,11 @@ def test_command_uses_the_delayed_state_and_the_gain_of_its_delay(make_simulator
     delay_s = rng.uniform(0.0, 0.3, (1, 60, 4))
     record = simulator.run_robots(delay_s)
     steps = np.ceil(delay_s / 0.02).astype(int)
-    np.testing.assert_array_equal(record.delay_steps, np.minimum(steps, count - 1))
+    np.testing.assert_array_equal(record.delay_steps, steps)
     # The gain in force is that of the last sample: slots without one keep it.
-    np.testing.assert_array_equal(record.gain_delay_steps[:, 0::2], record.delay_steps[:, 0::2])
-    np.testing.assert_array_equal(record.gain_delay_steps[:, 1::2], record.delay_steps[:, 0::2])
+    entries = np.minimum(steps, count - 1)
+    np.testing.assert_array_equal(record.gain_delay_steps[:, 0::2], entries[:, 0::2])
+    np.testing.assert_array_equal(record.gain_delay_steps[:, 1::2], entries[:, 0::2])
     np.testing.assert_array_equal(record.delay_capped, steps > count - 1)
     assert record.delay_capped.any()
     for k in range(30):
@@ -47,7 +48,7 @@ def test_command_uses_the_delayed_state_and_the_gain_of_its_delay(make_simulator
             T = record.delay_steps[0, 2 * k, robot]
             late = 2 * (k - int(T)) - 1
             x = record.state[0, late, robot] if late >= 0 else np.zeros(5)
-            expected = -gains.network_gains[T] @ x
+            expected = -gains.network_gains[min(T, count - 1)] @ x
             # Held over both slots of the sample.
             for slot in (2 * k, 2 * k + 1):
                 got = record.control[0, slot, robot]
@@ -253,10 +254,14 @@ def test_slip_and_noise_have_their_spread(make_simulator):
         np.testing.assert_allclose(pair, np.exp(-lag * 0.01 / 0.3), atol=0.05)
 
 
-def test_robots_alone_are_those_of_the_network(make_simulator):
-    """Fed with the delays that the network produced, they do the same."""
-    whole = make_simulator().run("pf")
-    alone = make_simulator().run_robots(whole.network_delay_s)
+def test_a_sample_knows_the_delay_of_the_slot_before(make_simulator):
+    """Robots that are fed with it do the same: what a slot delivers is known when it has ended."""
+    whole = make_simulator(traffic={"load": 1.2}).run("pf")
+    core_s = make_simulator().scenario.robot.core_latency_s
+    first = np.full_like(whole.network_delay_s[:, :1], core_s)
+    known = np.concatenate([first, whole.network_delay_s[:, :-1]], axis=1)
+    assert (np.ceil(known / 0.02) != np.ceil(whole.network_delay_s / 0.02)).any()
+    alone = make_simulator().run_robots(known)
     for name in ("state", "control", "delay_steps", "tracking_error_m", "reference"):
         np.testing.assert_array_equal(getattr(alone, name), getattr(whole, name))
 
@@ -275,3 +280,27 @@ def test_robots_of_all_blocks_move_alike(make_simulator):
         values = getattr(record, name)
         np.testing.assert_array_equal(values, np.broadcast_to(values[:, :, :1], values.shape))
     assert record.dexterity_index[0, 100, 17] != record.dexterity_index[0, 0, 17]
+
+
+def test_slots_one_by_one_carry_the_delay_over(make_simulator):
+    at_once = make_simulator(traffic={"load": 1.2}).run("pf")
+    simulator = make_simulator(traffic={"load": 1.2})
+    for slot in range(60):
+        one = simulator.run("pf", 1)
+        np.testing.assert_array_equal(one.delay_steps[:, 0], at_once.delay_steps[:, slot])
+        np.testing.assert_array_equal(one.state[:, 0], at_once.state[:, slot])
+
+
+def test_a_measurement_is_used_however_old_it_is(make_simulator, smoke_scenario):
+    """Beyond T_max the gain is that of T_max, the measurement the one that has arrived."""
+    count = smoke_scenario.max_delay_steps + 1
+    gains = LoopGains.memoryless(np.random.default_rng(3).normal(size=(count, 2, 5)))
+    quiet = {**STILL, "slip_speed_mps": 0.05, "slip_turn_rate_radps": 0.2, **FREE}
+    simulator = make_simulator(1, 120, gains=gains, robot=quiet)
+    record = simulator.run_robots(forced(0.6, 1, 120))
+    assert (record.delay_steps == 30).all()
+    assert record.delay_capped.all()
+    assert not record.control[0, :60].any()  # nothing has arrived: on the reference, no command
+    for k in range(31, 60):
+        expected = -gains.network_gains[-1] @ record.state[0, 2 * (k - 30) - 1, 1]
+        np.testing.assert_allclose(record.control[0, 2 * k, 1], expected, rtol=1e-12, atol=1e-15)

@@ -23,7 +23,6 @@ _TOPIC_OF = {f.name: topic.name for topic in TOPICS.values() for f in topic.fiel
 _EVENT_FIELDS = (
     "hol_delay_s",
     "delay_capped",
-    "network_delay_s",
     "delay_steps",
     "control_saturated",
 )

@@ -79,17 +79,19 @@ class RobotState(NamedTuple):
 
     `lanes` (E, blocks, 18 LANES) holds, for blocks of LANES robots, state (5), slip (2), control
     (2), sums over the window (3), the slot's sum of squared position errors and its standard
-    normals (5), each LANES times. `history` (E, R, T_max + 1, 5) is the ring of measured states,
-    `commands` (E, R, T_max + 1, 2) that of applied commands, kept for gains with memory only,
-    `held` (E, R, 2) the entry in force and the samples for which it has to be kept (hysteresis),
-    `dexterity_index` (E, R) the one in force, `gain_delay_steps` (E, R) the delay whose adjusted
-    gain is in force, 0 for the nominal gain.
+    normals (5), each LANES times. `history` (E, R, samples + 1, 5) has the measured states of the
+    whole run, `commands` (E, R, T_max + 1, 2) is the ring of applied commands, kept for gains with
+    memory only, `held` (E, R, 2) the entry in force and the samples for which it has to be kept
+    (hysteresis), `delay_s` (E, R) the network delay in force, `dexterity_index` (E, R) the index in
+    force, `gain_delay_steps` (E, R) the delay whose adjusted gain is in force, 0 for the nominal
+    gain.
     """
 
     lanes: NDArray[np.float64]
     history: NDArray[np.float64]
     commands: NDArray[np.float64]
     held: NDArray[np.int64]
+    delay_s: NDArray[np.float64]
     dexterity_index: NDArray[np.float64]
     gain_delay_steps: NDArray[np.uint32]
 
@@ -113,16 +115,23 @@ def robot_state(
     num_envs: int,
     num_robots: int,
     max_delay_steps: int,
+    num_samples: int,
     initial_dexterity_index: float,
+    initial_delay_s: float,
     num_states: int = NUM_STATES,
     num_inputs: int = NUM_INPUTS,
 ) -> RobotState:
-    """Robots at rest on their reference; of linear plants, all but the motion itself."""
+    """Robots at rest on their reference; of linear plants, all but the motion itself.
+
+    A run takes at most `num_samples` control samples; `initial_delay_s` is in force until the
+    network has delivered something.
+    """
     return RobotState(
         lanes=np.zeros((num_envs, -(-num_robots // LANES), _END)),
-        history=np.zeros((num_envs, num_robots, max_delay_steps + 1, num_states)),
+        history=np.zeros((num_envs, num_robots, num_samples + 1, num_states)),
         commands=np.zeros((num_envs, num_robots, max_delay_steps + 1, num_inputs)),
         held=np.zeros((num_envs, num_robots, 2), np.int64),
+        delay_s=np.full((num_envs, num_robots), initial_delay_s),
         dexterity_index=np.full((num_envs, num_robots), initial_dexterity_index),
         gain_delay_steps=np.zeros((num_envs, num_robots), np.uint32),
     )
@@ -187,6 +196,16 @@ def recall(gain: NDArray[np.float64], sample: int, commands: NDArray[np.float64]
     return total
 
 
+@njit(inline="always")
+def late_place(sample: int, delay_steps: int, num_places: int) -> int:
+    """Place of sample k - T_d among `num_places` = samples + 1 places of a run.
+
+    A delay that reaches behind the first sample finds a place that is not written yet: there the
+    robot stands on its reference.
+    """
+    return int((sample - min(delay_steps, num_places - 1)) % num_places)
+
+
 @kernel(forceinline=True)
 def close_loop(
     constants: RobotConstants,
@@ -209,15 +228,16 @@ def close_loop(
     sample
         Index k of the control sample. Before the first sample the robot stood on its reference.
     delay_steps
-        T_d, at most `constants.max_delay_steps`.
+        T_d: the newest measurement that has arrived is so many samples old.
     entry
-        The delay whose gains are in force: T_d, or a longer one that is held.
+        The delay whose gains are in force: T_d, at most T_max, or a longer one that is held.
     lane
         The robot's lane.
     lanes
         Its block; the last three normals are the measurement noise, the control is written.
     history
-        Its measured states, shape (T_max + 1, 5); that of this sample is written.
+        Its measured states, shape (samples + 1, 5), zero where nothing is measured yet; that of
+        this sample is written.
     commands
         Its applied commands, shape (T_max + 1, 2); likewise, if the gains have a memory.
 
@@ -226,8 +246,7 @@ def close_loop(
     int
         1 if a command met its limit, else 0.
     """
-    ring = constants.max_delay_steps + 1
-    now = history[sample % ring]
+    now = history[sample]
     now[0] = lanes[STATE + lane] + constants.noise_position_m * lanes[NORMALS + 2 * LANES + lane]
     now[1] = (
         lanes[STATE + LANES + lane] + constants.noise_position_m * lanes[NORMALS + 3 * LANES + lane]
@@ -238,7 +257,7 @@ def close_loop(
     )
     now[3] = lanes[STATE + 3 * LANES + lane]
     now[4] = lanes[STATE + 4 * LANES + lane]
-    past = history[(sample - delay_steps) % ring]
+    past = history[late_place(sample, delay_steps, history.shape[0])]
     saturated = 0
     for i in range(NUM_INPUTS):
         network = constants.network_gain[entry, i]
@@ -254,6 +273,7 @@ def close_loop(
             saturated = 1
         lanes[CONTROL + i * LANES + lane] = command
     if constants.has_memory:
+        ring = constants.max_delay_steps + 1
         for i in range(NUM_INPUTS):
             commands[sample % ring, i] = lanes[CONTROL + i * LANES + lane]
     return saturated

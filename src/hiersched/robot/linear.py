@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.compiled import kernel
-from hiersched.robot.dynamics import RobotConstants, recall
+from hiersched.robot.dynamics import RobotConstants, late_place, recall
 
 
 class LinearConstants(NamedTuple):
@@ -32,8 +32,8 @@ class LinearConstants(NamedTuple):
 class LinearState(NamedTuple):
     """What evolves beside `RobotState`, one row an environment.
 
-    `state` (E, R, n) now and `coming` after the sample, `past` (E, R, T_max + 1, n) the ring of
-    states, `control` (E, R, m), `window_square` (E, R) the squared errors of the window.
+    `state` (E, R, n) now and `coming` after the sample, `past` (E, R, samples + 1, n) the states
+    of the run, `control` (E, R, m), `window_square` (E, R) the squared errors of the window.
     """
 
     state: NDArray[np.float64]
@@ -43,12 +43,12 @@ class LinearState(NamedTuple):
     window_square: NDArray[np.float64]
 
 
-def linear_state(num_envs: int, num_robots: int, ring: int, n: int, m: int) -> LinearState:
-    """Plants at rest at the origin, with rings of `ring` samples."""
+def linear_state(num_envs: int, num_robots: int, num_samples: int, n: int, m: int) -> LinearState:
+    """Plants at rest at the origin, for runs of at most `num_samples` control samples."""
     return LinearState(
         state=np.zeros((num_envs, num_robots, n)),
         coming=np.zeros((num_envs, num_robots, n)),
-        past=np.zeros((num_envs, num_robots, ring, n)),
+        past=np.zeros((num_envs, num_robots, num_samples + 1, n)),
         control=np.zeros((num_envs, num_robots, m)),
         window_square=np.zeros((num_envs, num_robots)),
     )
@@ -80,7 +80,7 @@ def sample_linear(
     normals
         Standard normals, shape (2 n,): process noise, measurement noise.
     history, commands
-        Rings of measurements (T_max + 1, n) and applied inputs (T_max + 1, m); written.
+        Measurements (samples + 1, n) and the ring of applied inputs (T_max + 1, m); written.
     state, coming, past, control
         Of this plant, as in `LinearState`; all but `state` are written.
 
@@ -90,14 +90,10 @@ def sample_linear(
         1 if an input met its limit, else 0.
     """
     n, m = linear.B.shape
-    ring = robots.max_delay_steps + 1
-    now, late, late_state = (
-        history[sample % ring],
-        history[(sample - delay_steps) % ring],
-        past[(sample - delay_steps) % ring],
-    )
+    late_sample = late_place(sample, delay_steps, history.shape[0])
+    now, late, late_state = history[sample], history[late_sample], past[late_sample]
     for j in range(n):
-        past[sample % ring, j] = state[j]
+        past[sample, j] = state[j]
         now[j] = state[j] + linear.measurement_noise[j] * np.float64(normals[n + j])
     saturated = 0
     for i in range(m):
@@ -111,6 +107,7 @@ def sample_linear(
             command = linear.input_limits[i] if command > 0.0 else -linear.input_limits[i]
             saturated = 1
         control[i] = command
+    ring = robots.max_delay_steps + 1
     for i in range(m):
         commands[sample % ring, i] = control[i]
     for i in range(n):

@@ -80,13 +80,13 @@ def _late_users(scenario: Scenario, fields: Mapping[str, NDArray[Any]]) -> Itera
 
 def _capped_delays(scenario: Scenario, fields: Mapping[str, NDArray[Any]]) -> Iterator[Event]:
     for robot, start, stop in stretches(fields["delay_capped"] > 0):
-        most = 1e3 * fields["network_delay_s"][start:stop, robot].max()
         yield Event(
             start,
             "WARNING",
             "delay",
-            f"robot {robot}: network delay up to {most:.6g} ms, capped at "
-            f"{scenario.max_delay_steps} samples for {stop - start} slots",
+            f"robot {robot}: measurements up to {fields['delay_steps'][start:stop, robot].max()} "
+            f"samples old for {stop - start} slots: beyond the {scenario.max_delay_steps} samples "
+            "that gains are designed for",
         )
 
 
@@ -118,9 +118,8 @@ def entries_in_force(scenario: Scenario, delay_steps: NDArray[np.uint32]) -> NDA
     last = np.ceil((slots + 1) * slot_s / sampling_s - 1e-9).astype(int) - 1
     sample = np.arange(last[-1] + 1)
     slot_of_sample = np.floor(sample * sampling_s / slot_s + 1e-9).astype(int)
-    entries: NDArray[np.int64] = hold_delays(
-        delay_steps[slot_of_sample], scenario.control.hold_samples
-    )[last]
+    wanted = np.minimum(delay_steps[slot_of_sample], scenario.max_delay_steps)
+    entries: NDArray[np.int64] = hold_delays(wanted, scenario.control.hold_samples)[last]
     return entries
 
 

@@ -136,6 +136,8 @@ def run_slots(
             prefetch_third(row, 2)
             serve(constants, state, scratch, record, env)
             _move_robots(constants, state, scratch, record, env)
+            # What this slot delivers is known when it has ended: the next slot's samples use it.
+            _copy(record.network_delay_s, state.robots.delay_s[env])
             state.slot[env] += 1
             _copy(scratch.row, row)
             # The next slot's channel goes where it will be needed, after the last slot the state.
@@ -152,7 +154,10 @@ def run_robots(
     network_delay_s: NDArray[np.float64],
     rows: NDArray[np.uint64],
 ) -> None:
-    """Run the robots alone with network delays of shape (E, T, R); `rows` is filled."""
+    """Run the robots alone with network delays of shape (E, T, R); `rows` is filled.
+
+    A delay is in force in its own slot.
+    """
     record = scratch.slot
     scratch.row[:] = 0  # what belongs to the network
     for env in range(state.key.shape[0]):
@@ -161,6 +166,7 @@ def run_robots(
             for robot in range(constants.num_urllc):
                 record.dexterity_index[robot] = state.robots.dexterity_index[env, robot]
                 record.network_delay_s[robot] = network_delay_s[env, index, robot]
+                state.robots.delay_s[env, robot] = network_delay_s[env, index, robot]
             _move_robots(constants, state, scratch, record, env)
             state.slot[env] += 1
             _copy(scratch.row, rows[env, index])
@@ -241,13 +247,12 @@ def _draw_robots(
 def _move_robots(
     constants: SlotConstants, state: SlotState, scratch: SlotScratch, record: SlotFields, env: int
 ) -> None:
-    """Move all robots through the slot with the network delays that stand in the record."""
+    """Move all robots through the slot with the network delays in force."""
     robots = constants.robots
     for robot in range(record.network_delay_s.shape[0]):
-        wanted = steps_of_delay(record.network_delay_s[robot], robots.sampling_s)
-        steps = min(wanted, robots.max_delay_steps)
+        steps = steps_of_delay(state.robots.delay_s[env, robot], robots.sampling_s)
         record.delay_steps[robot] = steps
-        record.delay_capped[robot] = 1 if wanted > steps else 0
+        record.delay_capped[robot] = 1 if steps > robots.max_delay_steps else 0
         record.control_saturated[robot] = 0
     if constants.is_linear:
         drive_linear(robots, constants.linear, state, record, env)
@@ -285,10 +290,11 @@ def _drive_robots(
                 sample = step // robots.steps_per_sample
                 for lane in range(count):
                     robot = begin + lane
-                    step_delay = entry = int(delay_steps[robot])
+                    step_delay = int(delay_steps[robot])
+                    entry = min(step_delay, robots.max_delay_steps)
                     if robots.hold_samples > 0:
                         held = state.robots.held[env, robot]
-                        entry = hold_entry(step_delay, robots.hold_samples, held)
+                        entry = hold_entry(entry, robots.hold_samples, held)
                     saturated[robot] += close_loop(
                         robots,
                         sample,

@@ -33,9 +33,10 @@ def drive_linear(
     for robot in range(record.delay_steps.shape[0]):
         body = motion.state[env, robot]
         if slot % slots_per_sample == 0:
-            delay = entry = int(record.delay_steps[robot])
+            delay = int(record.delay_steps[robot])
+            entry = min(delay, robots.max_delay_steps)
             if robots.hold_samples > 0:
-                entry = hold_entry(delay, robots.hold_samples, common.held[env, robot])
+                entry = hold_entry(entry, robots.hold_samples, common.held[env, robot])
             record.control_saturated[robot] += sample_linear(
                 robots,
                 linear,

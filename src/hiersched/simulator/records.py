@@ -42,9 +42,9 @@ class SlotFields(NamedTuple):
     penalty_embb: NDArray[np.float64]  # ()
     reward_urllc: NDArray[np.float64]  # ()
     reward_embb: NDArray[np.float64]  # ()
-    network_delay_s: NDArray[np.float64]  # (R,)
-    delay_steps: NDArray[np.uint32]  # (R,) T_d of this slot, at most T_max
-    delay_capped: NDArray[np.uint32]  # (R,) 0 or 1
+    network_delay_s: NDArray[np.float64]  # (R,) measured in this slot, in force in the next
+    delay_steps: NDArray[np.uint32]  # (R,) T_d in force in this slot
+    delay_capped: NDArray[np.uint32]  # (R,) 1 where T_d > T_max, for which there is no gain
     gain_delay_steps: NDArray[np.uint32]  # (R,) T of the adjusted gain in force, 0: nominal
     state: NDArray[np.float64]  # (R, N) at the end of the slot
     reference: NDArray[np.float64]  # (R, 5) x, y, theta, v, omega at the slot's end; linear: 0

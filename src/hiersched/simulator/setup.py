@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -190,6 +191,7 @@ def initial_state(scenario: Scenario, keys: NDArray[np.uint64], num_slots: int) 
     """
     num_envs, num_users, num_prb = len(keys), scenario.num_users, scenario.radio.num_prb
     radio, (n, m, _) = scenario.radio, scenario.robot_sizes
+    num_samples = math.ceil(num_slots * radio.slot_s / scenario.control.sampling_s - 1e-9)
     snr = np.full((num_envs, num_users), snr_per_fading_power(radio.tx_power_dbm, radio.noise_dbm))
     if radio.path_loss == "macro":
         for env, key in enumerate(keys):
@@ -216,11 +218,13 @@ def initial_state(scenario: Scenario, keys: NDArray[np.uint64], num_slots: int) 
             num_envs,
             scenario.users.num_urllc,
             scenario.max_delay_steps,
+            num_samples,
             scenario.robot.initial_dexterity_index,
+            scenario.robot.core_latency_s,
             n,
             m,
         ),
-        linear=linear_state(num_envs, scenario.users.num_urllc, scenario.max_delay_steps + 1, n, m),
+        linear=linear_state(num_envs, scenario.users.num_urllc, num_samples, n, m),
     )
 
 
