@@ -12,7 +12,7 @@ from hiersched.learning.policy import Policy
 from hiersched.log import LogError, LogReader, log_digest
 from hiersched.replay.compare import compare_logs
 from hiersched.replay.counterfactual import find_policy, rerun
-from hiersched.replay.source import load_run
+from hiersched.runs.logged import load_run
 from hiersched.replay.verify import verify
 
 

@@ -13,7 +13,7 @@ from hiersched.cli import main
 from hiersched.log import LogReader, log_digest
 from hiersched.replay.compare import compare_logs
 from hiersched.replay.expand import expand
-from hiersched.replay.source import load_run
+from hiersched.runs.logged import load_run
 from hiersched.replay.verify import verify
 from hiersched.runs import paths
 from hiersched.runs.evaluate import evaluate

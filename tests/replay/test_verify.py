@@ -14,9 +14,9 @@ import pytest
 import yaml
 
 from hiersched.log import TOPICS, LogError, LogReader, LogWriter
-from hiersched.replay import source
+from hiersched.runs import logged
 from hiersched.replay.expand import expand
-from hiersched.replay.source import load_run
+from hiersched.runs.logged import load_run
 from hiersched.replay.verify import verify
 from hiersched.runs import paths
 from hiersched.runs.gain_study import delays_of_run, gain_sweep
@@ -50,7 +50,7 @@ def test_every_log_of_a_study_is_what_the_simulator_computes(study: Path) -> Non
 
 def test_batches_are_the_same_run(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """However a long log is cut."""
-    monkeypatch.setattr(source, "_BATCH_SLOTS", 7)
+    monkeypatch.setattr(logged, "_BATCH_SLOTS", 7)
     seen: list[int] = []
     for name in (FULL, "train/ddpg/seed1.mcap", "gain_study/krasovskii_adjusted_seed31.mcap"):
         run = load_run(study / name)

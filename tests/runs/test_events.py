@@ -51,8 +51,8 @@ def test_events_say_where_trouble_begins(tiny: Scenario, designed) -> None:
             104,
             "WARNING",
             "delay",
-            "robot 0: measurements up to 4 samples old for 2 slots: beyond the 2 samples that gains "
-            "are designed for",
+            "robot 0: measurements up to 4 samples old for 2 slots: beyond the 2 samples that "
+            "gains are designed for",
         ),
         (106, "WARNING", "queue", "user 1: head-of-line delay past 20 ms for 1 slots, up to 30 ms"),
         (107, "INFO", "control", "robot 1: 2 saturated commands in 1 slots"),

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from hiersched.log import LogReader
-from hiersched.replay.source import load_run
+from hiersched.runs.logged import load_run
 from hiersched.replay.verify import verify
 from hiersched.runs import paths
 from hiersched.runs.evaluate import evaluate

@@ -47,7 +47,7 @@ def test_measures_of_a_log_with_known_content(
     fields["delay_capped"][:4, 0] = 1
     fields["arrival_clamped"][:8, 1] = 1
     fields["control_saturated"][0, 0] = 2
-    fields["drift_urllc"][:], fields["penalty_embb"][:] = 1.0, 0.5
+    fields["penalty_embb"][:] = 0.5
     label = {"policy": "edf", "seed": "7", "stage": "sweep", "axis": "load", "value": "1.05"}
     log = write_log(tmp_path / "a.mcap", fields, metadata=label)
     got = run_metrics(log, tiny)
@@ -80,15 +80,38 @@ def test_measures_of_a_log_with_known_content(
     assert got.delay_capped_share == pytest.approx(4 / 80)
     assert got.arrival_clamped_share == pytest.approx(8 / 80)
     assert got.control_saturations_per_s == pytest.approx(2 / (2 * 0.4))
-    assert got.drift_plus_penalty_cost == pytest.approx(1.0 + 0.5 * 100.0)
-    assert (got.drift_cost, got.penalty_cost) == pytest.approx((1.0, 50.0))
+    assert got.mean_square_backlog == pytest.approx((9 + 4 + 1) / 2 / 40)
+    assert got.penalty_cost == pytest.approx(0.5 * 100.0)
+    assert (got.urllc_due_packets, got.embb_due_packets) == (39 * 2 + 4, 0)
 
 
-def test_the_cost_does_not_credit_a_policy_with_its_own_multiplier(
+def test_measures_leave_the_warm_up_out(
+    tiny: Scenario, tmp_path: Path, write_log: Callable[..., Path], known_fields: Fields
+) -> None:
+    """Slots 2 on, windows from slot 10 on; packets of slot 0 fall due in slot 1."""
+    fields = known_fields
+    fields["rate_mbps"][2:] = 8.0
+    fields["tracking_error_m"][:10] = 9.0
+    fields["dexterity_index"][20:] = 0.6
+    label = {"policy": "edf", "seed": "7", "warmup_slots": "2"}
+    got = run_metrics(write_log(tmp_path / "a.mcap", fields, metadata=label), tiny)
+    assert got.num_slots == 38
+    assert got.urllc_rate_mbps == 8.0
+    assert got.urllc_due_packets == 38 * 2  # those of the last slot fall due behind the run
+    assert got.urllc_late_share == 0.0
+    assert got.urllc_backlog_packets == pytest.approx((2 + 1) / (2 * 38))
+    assert got.mean_square_backlog == pytest.approx((4 + 1) / 2 / 38)
+    # All packets of user 1 arrived in slot 0: what is left takes 0.25 or 0.5 of a slot of 10 ms.
+    assert got.urllc_delay_p999_s == pytest.approx(0.005)
+    assert got.tracking_error_cm == 0.0
+    assert got.dexterity_index == pytest.approx(0.6)
+
+
+def test_measures_do_not_credit_a_policy_with_its_own_multiplier(
     tiny: Scenario, tmp_path: Path, write_log: Callable[..., Path], known_fields: Fields
 ) -> None:
     rng = np.random.default_rng(3)
-    for name in ("drift_urllc", "drift_embb", "penalty_urllc", "penalty_embb", "constraint"):
+    for name in ("penalty_urllc", "penalty_embb", "constraint"):
         known_fields[name] = rng.normal(size=known_fields[name].shape)
     priced = dict(known_fields)
     for name in ("multiplier", "reward_urllc", "reward_embb"):
@@ -97,11 +120,10 @@ def test_the_cost_does_not_credit_a_policy_with_its_own_multiplier(
         write_log(tmp_path / f"{number}.mcap", fields)
         for number, fields in enumerate((known_fields, priced))
     ]
-    plain, own = (run_metrics(log, tiny).drift_plus_penalty_cost for log in logs)
-    assert own == plain
+    plain, own = (run_metrics(log, tiny) for log in logs)
+    assert repr(own) == repr(plain)  # in which NaN is NaN
     penalty = known_fields["penalty_urllc"] + known_fields["penalty_embb"]
-    drift = known_fields["drift_urllc"] + known_fields["drift_embb"]
-    assert plain == pytest.approx(np.mean(drift + tiny.objective.penalty_weight * penalty))
+    assert plain.penalty_cost == pytest.approx(tiny.objective.penalty_weight * penalty.mean())
 
 
 def test_a_share_at_the_allowed_one_is_no_violation(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from hiersched.replay.compare import Comparison
-    from hiersched.replay.source import LoggedRun
+    from hiersched.runs.logged import LoggedRun
 
 DIFFERS = 1
 
@@ -47,7 +47,7 @@ def add_commands(commands: Any) -> None:
 def _replay(parsed: argparse.Namespace) -> int:
     from hiersched.cli import InputError
     from hiersched.replay.expand import expand
-    from hiersched.replay.source import load_run
+    from hiersched.runs.logged import load_run
     from hiersched.replay.verify import verify
 
     run = load_run(parsed.log)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hiersched.log import LogError
 from hiersched.network.schedulers import CLASSICAL
-from hiersched.replay.source import LoggedRun
+from hiersched.runs.logged import LoggedRun
 from hiersched.runs.logging import RunLabel, log_block, open_log
 from hiersched.runs.policies import seed_worlds
 from hiersched.simulator import Simulator, SlotRecord

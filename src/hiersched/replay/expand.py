@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.log import LogReader, LogWriter
-from hiersched.replay.source import Batch, LoggedRun
+from hiersched.runs.logged import Batch, LoggedRun
 from hiersched.replay.verify import Difference, verify
 from hiersched.runs.logging import log_dims
 from hiersched.simulator import SlotRecord

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.log import LogError, LogReader
+from hiersched.log import LogError
+from hiersched.runs.logged import RunSlots, read_slots
 from hiersched.scenario import Scenario
 from hiersched.study.fifo import (
     FloatArray,
@@ -26,11 +27,11 @@ OFF_TRACK_CM = 10.0
 
 @dataclass(frozen=True, kw_only=True)
 class RunMetrics:
-    """Measures of one log; NaN where a run is too short or has no such user.
+    """Measures of one run after its warm-up; NaN where it is too short or has no such user.
 
-    Late shares are late packets over packets whose deadline fell into the run. Delay quantiles are
-    of the packets that were delivered: those that still wait at the end do not count, so at
-    overload the late share is the fairer measure.
+    Late shares are late packets over packets whose deadline fell behind the warm-up. Delay
+    quantiles are of the packets that arrived behind it and were delivered: those that still wait at
+    the end do not count, so at overload the late share is the fairer measure.
     """
 
     policy: str
@@ -39,6 +40,9 @@ class RunMetrics:
     axis: str
     value: str
     num_slots: int
+    """Slots that are measured."""
+    urllc_due_packets: int
+    embb_due_packets: int
     urllc_late_share: float
     embb_late_share: float
     late_share_by_user: tuple[float, ...]
@@ -63,11 +67,30 @@ class RunMetrics:
     delay_capped_share: float
     arrival_clamped_share: float
     control_saturations_per_s: float
-    drift_plus_penalty_cost: float
-    drift_cost: float
-    """Its first part: over a run it adds up to half the squares of the last backlogs."""
+    mean_square_backlog: float
+    """Mean over slots of half the sum of F^2 over the users of both slices [packets^2]."""
     penalty_cost: float
-    """Its second part, V h."""
+    """Mean over slots of V h of both slices [packets^2]."""
+
+
+_MEASURED = (
+    "backlog_packets",
+    "arrivals_packets",
+    "service_packets",
+    "rate_mbps",
+    "due_packets",
+    "late_packets",
+    "arrival_clamped",
+    "penalty_urllc",
+    "penalty_embb",
+    "delay_steps",
+    "delay_capped",
+    "control_saturated",
+    "tracking_error_m",
+    "dexterity_index",
+)
+_QUEUES = _MEASURED[:3]
+_PACKETS = ("due_packets", "late_packets")
 
 
 def run_metrics(path: str | os.PathLike[str], scenario: Scenario) -> RunMetrics:
@@ -86,24 +109,24 @@ def run_metrics(path: str | os.PathLike[str], scenario: Scenario) -> RunMetrics:
         If the log is damaged, or its backlogs or late packets are not those that follow from its
         arrivals and service.
     """
-    with LogReader(path, verify="chunks") as log:
-        queue = log.read("/queue", ["backlog_packets", "arrivals_packets", "service_packets"])
-        rate = log.read("/allocation", ["rate_mbps"])["rate_mbps"]
-        delay = log.read("/delay")
-        robots = log.read("/robots")
-        urllc = log.dims.num_urllc
-        metadata, slot_s, num_slots = log.metadata, log.slot_ns * 1e-9, log.num_slots
-    sojourn_s = _checked_sojourns(path, queue, delay, scenario, urllc, slot_s)
-    due, late = delay["due_packets"], delay["late_packets"]
+    run = read_slots(path, _MEASURED)
+    urllc, warmup, metadata = run.num_urllc, run.warmup_slots, run.metadata
+    sojourn_s = _checked_sojourns(path, run, scenario)
+    fields = {name: values[warmup:] for name, values in run.fields.items()}
+    rate, backlog = fields["rate_mbps"], fields["backlog_packets"]
+    due, late = fields["due_packets"], fields["late_packets"]
     shares = _share(late.sum(axis=0, dtype=np.int64), due.sum(axis=0, dtype=np.int64))
     levels = scenario.traffic.reliability_levels
+    penalty = fields["penalty_urllc"] + fields["penalty_embb"]
     return RunMetrics(
         policy=metadata["policy"],
         seed=int(metadata["seed"]),
         stage=metadata.get("stage", ""),
         axis=metadata.get("axis", ""),
         value=metadata.get("value", ""),
-        num_slots=num_slots,
+        num_slots=len(rate),
+        urllc_due_packets=int(due[:, :urllc].sum(dtype=np.int64)),
+        embb_due_packets=int(due[:, urllc:].sum(dtype=np.int64)),
         urllc_late_share=_late_share(late[:, :urllc], due[:, :urllc]),
         embb_late_share=_late_share(late[:, urllc:], due[:, urllc:]),
         late_share_by_user=tuple(float(share) for share in shares),
@@ -112,23 +135,22 @@ def run_metrics(path: str | os.PathLike[str], scenario: Scenario) -> RunMetrics:
         ),
         urllc_rate_mbps=_mean(rate[:, :urllc]),
         embb_rate_mbps=_mean(rate[:, urllc:]),
-        urllc_backlog_packets=_mean(queue["backlog_packets"][:, :urllc]),
-        embb_backlog_packets=_mean(queue["backlog_packets"][:, urllc:]),
+        urllc_backlog_packets=_mean(backlog[:, :urllc]),
+        embb_backlog_packets=_mean(backlog[:, urllc:]),
         **_delay_quantiles("urllc", sojourn_s[:urllc]),
         **_delay_quantiles("embb", sojourn_s[urllc:]),
-        **_robot_measures(robots, scenario, slot_s),
-        arrival_clamped_share=_mean(delay["arrival_clamped"][:, :urllc]),
-        **_costs(delay, scenario),
+        **_robot_measures(run, scenario),
+        arrival_clamped_share=_mean(fields["arrival_clamped"][:, :urllc]),
+        mean_square_backlog=_mean(0.5 * (backlog**2).sum(axis=1)),
+        # Without the priced constraint: multipliers differ between policies, so with it a policy
+        # would be credited with its own.
+        penalty_cost=scenario.objective.penalty_weight * _mean(penalty),
     )
 
 
 def read_sojourns(path: str | os.PathLike[str], scenario: Scenario) -> list[FloatArray]:
-    """Read the sojourn times [s] of delivered packets, one array a user, checked as ever."""
-    with LogReader(path, verify="chunks") as log:
-        queue = log.read("/queue", ["backlog_packets", "arrivals_packets", "service_packets"])
-        delay = log.read("/delay", ["due_packets", "late_packets"])
-        urllc, slot_s = log.dims.num_urllc, log.slot_ns * 1e-9
-    return _checked_sojourns(path, queue, delay, scenario, urllc, slot_s)
+    """Read the sojourn times [s] of delivered packets that arrived behind the warm-up, by user."""
+    return _checked_sojourns(path, read_slots(path, (*_QUEUES, *_PACKETS)), scenario)
 
 
 def tracking_error_by_window_cm(tracking_error_m: FloatArray, slots_per_window: int) -> FloatArray:
@@ -159,26 +181,21 @@ def slots_per_window(scenario: Scenario) -> int:
 
 
 def _checked_sojourns(
-    path: str | os.PathLike[str],
-    queue: dict[str, NDArray[Any]],
-    delay: dict[str, NDArray[Any]],
-    scenario: Scenario,
-    num_urllc: int,
-    slot_s: float,
+    path: str | os.PathLike[str], run: RunSlots, scenario: Scenario
 ) -> list[FloatArray]:
     """Return the sojourn times [s] by user, after a check that the log agrees with them."""
-    arrivals, service = queue["arrivals_packets"], queue["service_packets"]
+    arrivals, service = run.fields["arrivals_packets"], run.fields["service_packets"]
     backlog = backlog_path(arrivals, service)
-    if not np.array_equal(backlog[:-1], queue["backlog_packets"]):
+    if not np.array_equal(backlog[:-1], run.fields["backlog_packets"]):
         raise LogError(path, 0, "its backlogs do not follow from its arrivals and service")
     result = []
     for user in range(arrivals.shape[1]):
         traffic = scenario.traffic
-        deadline_s = traffic.deadline_s if user < num_urllc else traffic.embb_deadline_s
+        deadline_s = traffic.deadline_s if user < run.num_urllc else traffic.embb_deadline_s
         own = arrivals[:, user], service[:, user], backlog[:, user]
-        due, late = late_packets(*own, deadline_in_slots(deadline_s, slot_s))
-        for name, counted in (("due_packets", due), ("late_packets", late)):
-            logged = delay[name][:, user]
+        due, late = late_packets(*own, deadline_in_slots(deadline_s, run.slot_s))
+        for name, counted in zip(_PACKETS, (due, late), strict=True):
+            logged = run.fields[name][:, user]
             if not np.array_equal(counted, logged):
                 slot = int(np.flatnonzero(counted != logged)[0])
                 raise LogError(
@@ -187,7 +204,8 @@ def _checked_sojourns(
                     f"{name} of user {user} in slot {slot} is {logged[slot]}, but its arrivals "
                     f"and service give {counted[slot]} at a deadline of {deadline_s:g} s",
                 )
-        result.append(sojourn_slots(*own) * slot_s)
+        before = int(arrivals[: run.warmup_slots, user].sum(dtype=np.int64))
+        result.append(sojourn_slots(*own)[before:] * run.slot_s)
     return result
 
 
@@ -225,39 +243,22 @@ def _delay_quantiles(slice_name: str, sojourn_s: list[FloatArray]) -> dict[str, 
     }
 
 
-def _robot_measures(
-    robots: dict[str, NDArray[Any]], scenario: Scenario, slot_s: float
-) -> dict[str, float]:
+def _robot_measures(run: RunSlots, scenario: Scenario) -> dict[str, float]:
     window = slots_per_window(scenario)
-    error_cm = tracking_error_by_window_cm(robots["tracking_error_m"], window)
+    fields, warmup = run.fields, run.warmup_slots
+    whole = tracking_error_by_window_cm(fields["tracking_error_m"], window)
+    error_cm = whole[-(-warmup // window) :]  # windows that begin behind the warm-up
     # A window's index is in force from the first slot behind it; that of the last is not logged.
-    finished = robots["dexterity_index"][window::window]
-    robot_s = robots["control_saturated"].size * slot_s
+    finished = fields["dexterity_index"][window::window][-(-warmup // window) :]
+    saturated = fields["control_saturated"][warmup:]
+    robot_s = saturated.size * run.slot_s
     return {
         "tracking_error_cm": _mean(error_cm),
         "off_track_share": _mean(error_cm > OFF_TRACK_CM),
         "dexterity_index": _mean(finished),
-        "delay_steps": _mean(robots["delay_steps"]),
-        "delay_capped_share": _mean(robots["delay_capped"]),
+        "delay_steps": _mean(fields["delay_steps"][warmup:]),
+        "delay_capped_share": _mean(fields["delay_capped"][warmup:]),
         "control_saturations_per_s": (
-            float(robots["control_saturated"].sum(dtype=np.int64)) / robot_s
-            if robot_s
-            else float("nan")
+            float(saturated.sum(dtype=np.int64)) / robot_s if robot_s else float("nan")
         ),
-    }
-
-
-def _costs(delay: dict[str, NDArray[Any]], scenario: Scenario) -> dict[str, float]:
-    """Return the means over slots of drift + V penalty, and of both parts, of both slices.
-
-    Without the priced constraint: multipliers differ between policies, so with it a policy would
-    be credited with its own.
-    """
-    drift = delay["drift_urllc"] + delay["drift_embb"]
-    penalty = delay["penalty_urllc"] + delay["penalty_embb"]
-    penalty = scenario.objective.penalty_weight * penalty
-    return {
-        "drift_plus_penalty_cost": _mean(drift + penalty),
-        "drift_cost": _mean(drift),
-        "penalty_cost": _mean(penalty),
     }

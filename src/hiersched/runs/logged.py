@@ -1,20 +1,23 @@
-"""What a log says about the run that it is of: enough to run it again."""
+"""What a log says about the run that it is of: enough to run it again, and every field of its slots."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.control import GainSchedule
-from hiersched.log import LogError, LogReader
+from hiersched.log import TOPICS, LogError, LogReader
 from hiersched.randomness import world_key, world_keys
+from hiersched.runs.logging import logged_fields
 from hiersched.scenario import Scenario, ScenarioError, load_resolved
-from hiersched.simulator import Gains
+from hiersched.simulator import Gains, Simulator
 from hiersched.simulator.gains import loop_gains
 
 STAGES = ("train", "evaluate", "sweep", "generalise", "gain_study")
@@ -147,10 +150,8 @@ def load_run(path: str | os.PathLike[str]) -> LoggedRun:
     if metadata["stage"] not in STAGES:
         raise fail(f"its stage is {metadata['stage']!r}; allowed: {', '.join(STAGES)}")
     try:
-        scenario, added_keys, sha256 = load_resolved(
-            attachments["scenario.yaml"].decode(), Path(f"{path}: scenario.yaml")
-        )
-        schedule = GainSchedule.from_json(attachments["schedule.json"].decode())
+        scenario, added_keys, sha256 = _scenario(attachments["scenario.yaml"])
+        schedule = _schedule(attachments["schedule.json"])
         keys, episode_slots = _worlds(metadata, num_slots)
     except (ScenarioError, ValueError, KeyError) as error:
         raise fail(str(error)) from error
@@ -178,3 +179,104 @@ def _worlds(metadata: dict[str, str], num_slots: int) -> tuple[NDArray[np.uint64
         return np.array([world_key(stage, seed)], np.uint64), num_slots
     episode_slots = int(metadata["slots_per_episode"])
     return world_keys(stage, seed, -(-num_slots // episode_slots)), episode_slots
+
+
+@lru_cache(maxsize=8)
+def _scenario(text: bytes) -> tuple[Scenario, tuple[str, ...], str]:
+    """Read a scenario; logs in a row carry the same one."""
+    return load_resolved(text.decode(), Path("scenario.yaml"))
+
+
+@lru_cache(maxsize=8)
+def _schedule(text: bytes) -> GainSchedule:
+    """Read a schedule; logs in a row carry the same one."""
+    return GainSchedule.from_json(text.decode())
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunSlots:
+    """Fields of every slot of a run.
+
+    Attributes
+    ----------
+    metadata
+        That of the log.
+    num_urllc
+        URLLC users, the first of the users.
+    slot_s
+        Length of a slot [s].
+    warmup_slots
+        Slots at the start that measures leave out.
+    fields
+        Name -> values, leading axis (T,).
+    """
+
+    metadata: dict[str, str]
+    num_urllc: int
+    slot_s: float
+    warmup_slots: int
+    fields: dict[str, NDArray[Any]]
+
+
+_TOPIC_OF = {field.name: topic for topic, entry in TOPICS.items() for field in entry.fields[1:]}
+
+
+def read_slots(path: str | os.PathLike[str], names: Sequence[str]) -> RunSlots:
+    """Read fields of every slot of a run in one world, whatever the profile of its log.
+
+    What the log has is read. What it lacks is computed from its decisions, and whatever else the
+    log has must come out of them to the last bit.
+
+    Parameters
+    ----------
+    path
+        A log.
+    names
+        Fields, as in `log.TOPICS`.
+
+    Raises
+    ------
+    LogError
+        If the log is damaged, or is not what the simulator computes from its decisions.
+    ValueError
+        On an unknown field.
+    """
+    if unknown := [name for name in names if name not in _TOPIC_OF]:
+        raise ValueError(f"names: {', '.join(unknown)}: no field of a log")
+    with LogReader(path, verify="chunks") as log:
+        present = {f.name for topic in TOPICS.values() for f in topic.fields_in(log.profile)}
+        complete = present.issuperset(names)
+        fields: dict[str, NDArray[Any]] = {}
+        for topic in dict.fromkeys(map(_TOPIC_OF.__getitem__, names if complete else present)):
+            wanted = [n for n in (names if complete else present) if _TOPIC_OF[n] == topic]
+            fields |= log.read(topic, wanted)
+        fields.pop("slot", None)
+        metadata, num_urllc, slot_s = log.metadata, log.dims.num_urllc, log.slot_ns * 1e-9
+    return RunSlots(
+        metadata=metadata,
+        num_urllc=num_urllc,
+        slot_s=slot_s,
+        warmup_slots=int(metadata.get("warmup_slots", "0")),
+        fields=fields if complete else _recompute(load_run(path), fields, names),
+    )
+
+
+def _recompute(
+    run: LoggedRun, logged: dict[str, NDArray[Any]], names: Sequence[str]
+) -> dict[str, NDArray[Any]]:
+    """Run a world again under its logged allocation, checked against all that is logged."""
+    if len(run.keys) != 1 or run.stage == "gain_study":
+        raise LogError(run.path, 0, "not of a policy in one world: its slots cannot be computed")
+    simulator = Simulator(run.scenario, run.gains, run.keys, run.num_slots)
+    multipliers = logged["multiplier"][:1].copy()
+    parts: dict[str, list[NDArray[Any]]] = {name: [] for name in names}
+    for batch in run.batches():
+        here = slice(batch.first_slot, batch.stop_slot)
+        record = simulator.run_owners(logged["prb_owner"][None, here], multipliers=multipliers)
+        computed = logged_fields(run.profile, run.scenario, record.environment(0))
+        for name, values in logged.items():
+            if not np.array_equal(values[here], computed[name]):
+                raise LogError(run.path, 0, f"its {name} does not follow from its decisions")
+        for name in names:
+            parts[name].append(computed[name].copy())
+    return {name: np.concatenate(part) for name, part in parts.items()}
