@@ -12,8 +12,8 @@ from hiersched.learning.policy import Policy
 from hiersched.log import LogError, LogReader, log_digest
 from hiersched.replay.compare import compare_logs
 from hiersched.replay.counterfactual import find_policy, rerun
-from hiersched.runs.logged import load_run
 from hiersched.replay.verify import verify
+from hiersched.runs.logged import load_run
 
 
 def fields_of(path: Path) -> dict[str, np.ndarray]:

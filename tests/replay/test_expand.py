@@ -13,11 +13,11 @@ from hiersched.cli import main
 from hiersched.log import LogReader, log_digest
 from hiersched.replay.compare import compare_logs
 from hiersched.replay.expand import expand
-from hiersched.runs.logged import load_run
 from hiersched.replay.verify import verify
 from hiersched.runs import paths
 from hiersched.runs.evaluate import evaluate
 from hiersched.runs.learned import LearnedRunner
+from hiersched.runs.logged import load_run
 from hiersched.runs.policies import run_classical
 from hiersched.runs.train import train_and_log
 from hiersched.scenario import Scenario

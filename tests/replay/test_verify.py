@@ -14,13 +14,12 @@ import pytest
 import yaml
 
 from hiersched.log import TOPICS, LogError, LogReader, LogWriter
-from hiersched.runs import logged
 from hiersched.replay.expand import expand
-from hiersched.runs.logged import load_run
 from hiersched.replay.verify import verify
-from hiersched.runs import paths
+from hiersched.runs import logged, paths
 from hiersched.runs.gain_study import delays_of_run, gain_sweep
 from hiersched.runs.gains import design_gains
+from hiersched.runs.logged import load_run
 from hiersched.runs.variants import gain_designs
 from hiersched.scenario import Scenario
 

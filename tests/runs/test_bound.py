@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hiersched.log import LogError, LogReader
+from hiersched.log import LogReader
 from hiersched.network.exact import exact_allocation, lagrangian, owned_rates
 from hiersched.runs import paths
 from hiersched.runs.bound import compute_bound, greedy_assignment, sampled_slots
@@ -101,12 +101,27 @@ def test_terms_of_a_slot_have_the_offset_of_the_dexterity_index(
     assert terms.multiplier.tolist() == [5.0, 6.0, 0.0, 0.0]
 
 
-def test_a_log_without_channel_is_refused(tiny: Scenario, results: Path) -> None:
+@pytest.mark.parametrize("profile", ["compact", "decisions"])
+def test_slots_of_small_logs_are_computed_again(
+    tiny: Scenario, results: Path, profile: str
+) -> None:
+    texts = []
+    for name in ("full", profile):
+        scenario = replace(with_policies(tiny, "pf"), log=replace(tiny.log, evaluate_profile=name))
+        evaluate(scenario, results, "classical", run_classical)
+        compute_bound(scenario, results, results / paths.BOUND)
+        texts.append((results / paths.BOUND).read_text())
+    assert texts[0] == texts[1]
+
+
+def test_only_slots_behind_the_warm_up_count(tiny: Scenario, results: Path) -> None:
     scenario = with_policies(tiny, "pf")
-    compact = replace(scenario, log=replace(scenario.log, evaluate_profile="compact"))
-    evaluate(compact, results, "classical", run_classical)
-    with pytest.raises(LogError, match="must be 'full'"):
-        compute_bound(compact, results, results / paths.BOUND)
+    scenario = replace(scenario, evaluate=replace(scenario.evaluate, warmup_s=0.05))
+    evaluate(scenario, results, "classical", run_classical)
+    compute_bound(scenario, results, results / paths.BOUND)
+    with (results / paths.BOUND).open(newline="") as file:
+        slots = {int(row["slot"]) for row in csv.DictReader(file)}
+    assert slots == {6, 10, 13}
 
 
 def test_greedy_assignment_takes_the_cheapest_pair_first() -> None:

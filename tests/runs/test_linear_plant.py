@@ -8,11 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from hiersched.log import LogReader
-from hiersched.runs.logged import load_run
 from hiersched.replay.verify import verify
 from hiersched.runs import paths
 from hiersched.runs.evaluate import evaluate
 from hiersched.runs.gains import design_gains
+from hiersched.runs.logged import load_run
 from hiersched.runs.policies import run_classical
 from hiersched.runs.variants import design_of, gain_designs, study_scenario
 from hiersched.scenario import Scenario, load_scenario
@@ -20,7 +20,14 @@ from hiersched.scenario import Scenario, load_scenario
 
 def pendulum(project_root: Path) -> Scenario:
     scenario = load_scenario(project_root / "config/scenarios/linear_plant.yaml")
-    evaluation = replace(scenario.evaluate, duration_s=0.6, policies=("pf",))
+    evaluation = replace(
+        scenario.evaluate,
+        warmup_s=0.2,
+        duration_s=0.4,
+        full_logs=1,
+        full_log_s=0.6,
+        policies=("pf",),
+    )
     return replace(scenario, evaluate=evaluation)
 
 
@@ -28,7 +35,8 @@ def test_its_log_is_computed_again_bit_for_bit(project_root: Path, tmp_path: Pat
     scenario = pendulum(project_root)
     design_gains(scenario, "schedule", tmp_path / paths.gain_file("schedule"))
     evaluate(scenario, tmp_path, "classical", run_classical)
-    path = tmp_path / "eval/pf/seed101.mcap"
+    assert verify(load_run(tmp_path / "eval/pf/seed101.mcap")) is None
+    path = tmp_path / "eval/pf/seed101_full.mcap"
     with LogReader(path) as log:
         assert (log.dims.num_states, log.dims.num_inputs, log.dims.num_normals) == (4, 1, 8)
         assert log.dims.num_posed == 0

@@ -75,14 +75,18 @@ def test_evaluation_reads_what_it_declares(tiny: Scenario, results: Path, reads:
     assert undeclared(set(reads), values) == {"evaluate.policies"}  # "policies": those of the group
 
 
-@pytest.mark.parametrize("axis", ["rayleigh_scale", "sampling_s", "reference", "load"])
+@pytest.mark.parametrize("axis", list(spec.SWEPT_KEYS))
 def test_a_sweep_reads_what_it_declares(
     tiny: Scenario, results: Path, reads: set[str], axis: str
 ) -> None:
     sweep(tiny, results, axis, "classical", run_classical)
     values = spec.sweep_values(tiny, axis, "classical")
     # The swept key is read from the variant: its values are those of the axis.
-    replaced = set() if axis == "sampling_s" else {spec.SWEPT_KEYS[axis]}
+    replaced = {
+        "sampling_s": set(),
+        "load_ratio": set(),
+        "service_coefficient_mbps": {"traffic.service_coefficient_mbps"},
+    }.get(axis, {spec.SWEPT_KEYS[axis]})
     # "policies" are those of the group; along the load, all evaluated ones.
     listed = {"sweeps.policies"} | ({"evaluate.policies"} if axis == "load" else set())
     assert undeclared(set(reads), values) == {*listed, *replaced}

@@ -119,8 +119,8 @@ def test_forced_delays_are_long_in_the_violation_windows(tiny: Scenario) -> None
 
 
 def in_full(scenario: Scenario) -> Scenario:
-    """The same with full logs of sweeps, which have the robots' delays and controls."""
-    return replace(scenario, log=replace(scenario.log, sweep_profile="full"))
+    """The same with full logs, which have the robots' delays and controls."""
+    return replace(scenario, log=replace(scenario.log, gain_study_profile="full"))
 
 
 def test_gain_study_meets_the_same_delays_with_both_gains(tiny: Scenario, results: Path) -> None:

@@ -41,9 +41,18 @@ def test_value_text(value: float | str, text: str) -> None:
 @pytest.mark.parametrize("axis", list(SWEPT_KEYS))
 def test_a_sweep_changes_one_key(tiny: Scenario, axis: str) -> None:
     value = swept_values(tiny, axis)[-1]
-    section, key = SWEPT_KEYS[axis].split(".")
     expected = scenario_to_dict(tiny)
-    expected[section][key] = value
+    if axis == "load_ratio":  # eMBB over URLLC, 22 over 25 in the scenario: 1.5, and 47 together
+        traffic = expected["traffic"]
+        traffic["embb_offered_mbps"] = pytest.approx(28.2)
+        traffic["urllc_offered_mbps"] = pytest.approx([18.8 * 20 / 25, 18.8 * 30 / 25])
+    elif axis == "service_coefficient_mbps":  # the last: at the longest sampling interval
+        assert value == "2_0.04"
+        expected["traffic"]["service_coefficient_mbps"] = 2.0
+        expected["control"]["sampling_s"] = 0.04
+    else:
+        section, key = SWEPT_KEYS[axis].split(".")
+        expected[section][key] = value
     assert scenario_to_dict(swept_scenario(tiny, axis, value)) == expected
 
 
@@ -99,7 +108,7 @@ def test_no_two_logs_share_a_path(tiny: Scenario) -> None:
     ]
     names += [name for axis in GAIN_SWEEPS for name in paths.gain_sweep_logs(tiny, axis)]
     gain_logs = 5 * 2 + (4 + 2 + 1) * 2 * 2
-    assert len(set(names)) == len(names) == 2 + 2 + gain_logs + 5 + 9 + 13
+    assert len(set(names)) == len(names) == 2 + 2 + gain_logs + 5 + 9 + 13 + (1 + 2) * 2
 
 
 def test_methods_on_one_plant_share_the_runs_with_the_nominal_gain(tiny: Scenario) -> None:

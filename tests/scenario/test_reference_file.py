@@ -12,7 +12,7 @@ from hiersched.runs import spec
 from hiersched.runs.variants import check_variants
 from hiersched.scenario import ScenarioError, scenario_sha256, scenario_to_yaml
 
-SHORT = "evaluate: {duration_s: 2.0}\nsweeps: {duration_s: 2.0}\ngain_study: {num_windows: 2, violation_windows: [2]}\n"  # noqa: E501
+SHORT = "evaluate: {warmup_s: 0.5, duration_s: 1.5, full_log_s: 1.0}\nsweeps: {warmup_s: 0.0, duration_s: 2.0}\ngain_study: {num_windows: 2, violation_windows: [2]}\n"  # noqa: E501
 FILE = SHORT + "robot: {reference: file, reference_file: track.csv}\n"
 
 
@@ -121,13 +121,13 @@ def test_other_faulty_files(load_track, track, words):
         (SHORT + "robot: {reference_file: track.csv}\n", "needs robot.reference: file"),
         (FILE.replace("track", "lost"), "lost.csv: cannot be read"),
         (
-            FILE.replace("{duration_s: 2.0}", "{duration_s: 2.5}", 1),
-            "ends after 2 s, but evaluate.duration_s asks for 2.5 s",
+            FILE.replace("duration_s: 1.5", "duration_s: 2", 1),
+            r"ends after 2 s, but evaluate.warmup_s \+ evaluate.duration_s asks for 2.5 s",
         ),
         (FILE + "learning: {slots_per_episode: 300}\n", "learning.slots_per_episode asks for 3 s"),
         (
             "sweeps: {duration_s: 8.0, reference: [arc, file]}\nrobot: {reference_file: track.csv}",
-            "ends after 2 s, but sweeps.duration_s asks for 8 s",
+            r"ends after 2 s, but sweeps.warmup_s \+ sweeps.duration_s asks for 13 s",
         ),
     ],
 )

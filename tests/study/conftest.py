@@ -13,9 +13,17 @@ from hiersched.control import Certificate, GainSchedule
 from hiersched.log import TOPICS, LogDims, LogWriter
 from hiersched.runs import paths
 from hiersched.runs.gain_points import GAIN_SWEEPS, GainPoint, gain_points
-from hiersched.runs.variants import cell_text, study_scenario, swept_policies
+from hiersched.runs.variants import (
+    SWEPT_KEYS,
+    cell_text,
+    policy_groups,
+    study_scenario,
+    swept_policies,
+    swept_values,
+)
 from hiersched.scenario import Scenario, load_scenario
 from hiersched.simulator.gains import plant_of
+from hiersched.study.collect import write_measures
 from hiersched.study.fifo import backlog_path, deadline_in_slots, late_packets
 
 DIMS = LogDims(num_urllc=2, num_embb=1, num_prb=4)
@@ -94,7 +102,10 @@ def tiny(project_root: Path) -> Scenario:
         learning=learning,
         learners={"flat": replace(learning, network="mlp")},
         evaluate=replace(
-            base.evaluate, seeds=(11, 12, 13), policies=("ddpg", "pf", "drift_plus_penalty", "flat")
+            base.evaluate,
+            warmup_s=0.0,
+            seeds=(11, 12, 13),
+            policies=("ddpg", "pf", "drift_plus_penalty", "flat"),
         ),
         sweeps=replace(
             base.sweeps,
@@ -104,6 +115,8 @@ def tiny(project_root: Path) -> Scenario:
             sampling_s=(0.02, 0.05),
             reference=("zigzag", "arc"),
             load=(0.85, 1.0),
+            load_ratio=(0.7, 1.4),
+            service_coefficient_mbps=(0.0, 8.0),
         ),
         generalise=replace(
             base.generalise,
@@ -169,9 +182,9 @@ def results(tmp_path_factory: pytest.TempPathFactory, tiny: Scenario) -> Path:
             label = {"policy": policy, "seed": str(seed), "stage": "evaluate"}
             path = folder / "eval" / policy / f"seed{seed}.mcap"
             _write_log(path, _run(tiny, policy, seed), metadata=label)
-    for axis in ("rayleigh_scale", "sampling_s", "reference", "load"):
+    for axis in SWEPT_KEYS:
         for policy in swept_policies(tiny, axis):
-            for value in getattr(tiny.sweeps, axis):
+            for value in swept_values(tiny, axis):
                 for seed in tiny.sweeps.seeds:
                     text = value if isinstance(value, str) else f"{value:g}"
                     label = {"policy": policy, "seed": str(seed), "axis": axis, "value": text}
@@ -192,6 +205,8 @@ def results(tmp_path_factory: pytest.TempPathFactory, tiny: Scenario) -> Path:
             fields["reward_urllc"] = np.repeat(np.arange(4.0), 5) + seed
             label = {"policy": learner, "seed": str(seed), "slots_per_episode": "5"}
             _write_log(folder / paths.training_log(learner, seed), fields, metadata=label)
+    for group in policy_groups(tiny):
+        write_measures(folder, tiny, group)
     return folder
 
 

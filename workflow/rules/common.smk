@@ -13,6 +13,7 @@ from hiersched.runs.variants import (
     check_variants,
     gain_designs,
     group_policies,
+    group_runs,
     policy_groups,
     swept_policies,
 )
@@ -83,6 +84,11 @@ def script(name):
 def groups_of(scenario, policies):
     """The groups that a list of policies needs."""
     return [group for group in policy_groups(scenario) if group_policies(scenario, policies, group)]
+
+
+def groups_that_run(scenario):
+    """The groups of which a policy runs anywhere."""
+    return [group for group in policy_groups(scenario) if group_runs(scenario, group)]
 
 
 def weights(scenario, group):

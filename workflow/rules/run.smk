@@ -13,7 +13,7 @@ for s in SCENARIOS:
                 gains=f"{folder(s)}/{paths.gain_file('schedule')}",
                 policies=weights(s, group),
             output:
-                whole(inside(s, paths.evaluation_logs(s, group))),
+                whole(inside(s, paths.evaluation_outputs(s, group))),
             log:
                 f"{folder(s)}/logs/evaluate_{group}.log",
             benchmark:

@@ -1,8 +1,37 @@
-# Tables and figures, from the logs and the stability regions alone.
+# Measures of every run, from its log alone; tables and figures, from measures, logs and stability regions.
+
+for s in SCENARIOS:
+    for group in groups_that_run(s):
+
+        rule:
+            name:
+                f"measure_{group}_{s.name}"
+            input:
+                kernels=KERNELS,
+                logs=inside(s, paths.measured_logs(s, group)),
+            output:
+                ensure(f"{folder(s)}/{paths.measures_file(group)}", non_empty=True),
+            log:
+                f"{folder(s)}/logs/measure_{group}.log",
+            benchmark:
+                f"{folder(s)}/benchmarks/measure_{group}.tsv"
+            threads: 1
+            params:
+                spec=spec.stage_spec(
+                    f"measure_{group}", spec.measure_values(s, group), script("measure")
+                ),
+                args=arguments("measure", s, "--group", group),
+            message:
+                f"Measuring the runs of {s.name}: {group}"
+            shell:
+                "{sys.executable} {params.args} > {log} 2>&1"
 
 
 rule aggregate:
     input:
+        measures=lambda w: inside(
+            BY_NAME[w.scenario], paths.measures_files(BY_NAME[w.scenario])
+        ),
         logs=lambda w: inside(BY_NAME[w.scenario], paths.all_logs(BY_NAME[w.scenario])),
         bound=f"results/{{scenario}}/{paths.BOUND}",
         stability=f"results/{{scenario}}/{paths.STABILITY}",
@@ -40,6 +69,9 @@ rule aggregate:
 
 rule figures:
     input:
+        measures=lambda w: inside(
+            BY_NAME[w.scenario], paths.measures_files(BY_NAME[w.scenario])
+        ),
         logs=lambda w: inside(BY_NAME[w.scenario], paths.all_logs(BY_NAME[w.scenario])),
         bound=f"results/{{scenario}}/{paths.BOUND}",
         stability=f"results/{{scenario}}/{paths.STABILITY}",
@@ -76,7 +108,9 @@ rule figures:
 
 rule claims:
     input:
-        runs=f"results/{{scenario}}/{paths.RUNS}",
+        measures=lambda w: inside(
+            BY_NAME[w.scenario], paths.measures_files(BY_NAME[w.scenario])
+        ),
         logs=lambda w: inside(BY_NAME[w.scenario], paths.claim_logs(BY_NAME[w.scenario])),
     output:
         [

@@ -47,8 +47,8 @@ def add_commands(commands: Any) -> None:
 def _replay(parsed: argparse.Namespace) -> int:
     from hiersched.cli import InputError
     from hiersched.replay.expand import expand
-    from hiersched.runs.logged import load_run
     from hiersched.replay.verify import verify
+    from hiersched.runs.logged import load_run
 
     run = load_run(parsed.log)
     if run.added_keys:

@@ -147,7 +147,7 @@ def rerun(run: LoggedRun, decider: Decider, out: str | os.PathLike[str]) -> None
         axis=run.metadata.get("axis", ""),
         value=run.metadata.get("value", ""),
     )
-    kept = ("slots_per_episode", "episodes")
+    kept = ("slots_per_episode", "episodes", "warmup_slots")
     with open_log(
         Path(out),
         run.scenario,

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.log import LogReader, LogWriter
-from hiersched.runs.logged import Batch, LoggedRun
 from hiersched.replay.verify import Difference, verify
+from hiersched.runs.logged import Batch, LoggedRun
 from hiersched.runs.logging import log_dims
 from hiersched.simulator import SlotRecord
 

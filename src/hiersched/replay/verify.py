@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from hiersched.log import TOPICS, LogReader
 from hiersched.network.schedulers import CLASSICAL
-from hiersched.runs.logged import Batch, LoggedRun
 from hiersched.runs.events import slot_events
 from hiersched.runs.gain_study import delays_of_run
+from hiersched.runs.logged import Batch, LoggedRun
 from hiersched.runs.logging import logged_fields
 from hiersched.simulator import Simulator, SlotRecord
 

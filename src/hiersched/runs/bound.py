@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from hiersched.log import LogError, LogReader
+from hiersched.log import LogError
 from hiersched.network.allocation import AllocationScratch, allocation_scratch
 from hiersched.network.exact import exact_allocation, lagrangian, owned_rates
 from hiersched.network.lyapunov import UserTerms
@@ -21,12 +21,25 @@ from hiersched.radio.channel import prb_rates
 from hiersched.runs import paths
 from hiersched.runs.exact import slot_terms
 from hiersched.runs.gains import load_gains
+from hiersched.runs.logged import read_slots
 from hiersched.runs.policies import seed_worlds
 from hiersched.scenario import Scenario
 from hiersched.simulator import Simulator, SlotConstants
 
 TIME_LIMIT_S = 20.0
 """Of one programme; the bound holds where it runs out."""
+
+_SEEN = (
+    "fading_power",
+    "backlog_packets",
+    "average_rate_mbps",
+    "hol_delay_s",
+    "multiplier",
+    "dexterity_index",
+    "prb_owner",
+    "rate_mbps",
+)
+"""What a scheduler sees of a slot, and what it decided."""
 
 REFERENCE = "drift_plus_penalty"
 """In the states of this policy every classical scheduler is asked what it would do."""
@@ -67,7 +80,7 @@ def compute_bound(scenario: Scenario, results: Path, output: Path) -> None:
     Raises
     ------
     LogError
-        If a log lacks the channel, or its rates do not follow from channel and allocation.
+        If a log is damaged, or its rates do not follow from channel and allocation.
     """
     _, gains = load_gains(results / paths.gain_file("schedule"), scenario)
     rows: list[dict[str, Any]] = []
@@ -89,33 +102,31 @@ def compute_bound(scenario: Scenario, results: Path, output: Path) -> None:
 
 
 def read_moments(path: Path, world: Simulator, count: int) -> Iterator[Moment]:
-    """Read evenly spaced slots of an evaluation log; `world` is the log's, for its path gains.
+    """Read evenly spaced slots behind the warm-up; `world` is the log's, for its path gains.
 
     Raises
     ------
     LogError
-        If the log lacks the channel, or its rates do not follow from channel and allocation.
+        If the log is damaged, or its rates do not follow from channel and allocation.
     """
-    with LogReader(path, verify="chunks") as log:
-        if log.profile != "full":
-            raise LogError(path, 0, f"profile {log.profile!r} has no channel: must be 'full'")
-        fading = log.read("/channel", ["fading_power"])["fading_power"]
-        queue = log.read("/queue", ["backlog_packets", "average_rate_mbps"])
-        delay = log.read("/delay", ["hol_delay_s", "multiplier"])
-        dexterity = log.read("/robots", ["dexterity_index"])["dexterity_index"]
-        allocation = log.read("/allocation", ["prb_owner", "rate_mbps"])
+    run = read_slots(path, _SEEN)
+    fields, warmup = run.fields, run.warmup_slots
+    fading = fields["fading_power"]
     constants = world.constants
-    for slot in sampled_slots(len(fading), count).tolist():
+    for slot in (warmup + sampled_slots(len(fading) - warmup, count)).tolist():
         rate = np.zeros(fading.shape[1:], np.float32)
         power = np.ascontiguousarray(fading[slot]).reshape(-1)
         prb_rates(power, world.state.snr[0], constants.prb_bandwidth_mhz, rate.reshape(-1))
-        owner = np.ascontiguousarray(allocation["prb_owner"][slot])
-        if not np.array_equal(owned_rates(rate, owner), allocation["rate_mbps"][slot]):
+        owner = np.ascontiguousarray(fields["prb_owner"][slot])
+        if not np.array_equal(owned_rates(rate, owner), fields["rate_mbps"][slot]):
             raise LogError(path, 0, f"slot {slot}: its rates do not follow from its channel")
         terms = slot_terms(
-            constants, queue["backlog_packets"][slot], dexterity[slot], delay["multiplier"][slot]
+            constants,
+            fields["backlog_packets"][slot],
+            fields["dexterity_index"][slot],
+            fields["multiplier"][slot],
         )
-        hol, average = delay["hol_delay_s"][slot], queue["average_rate_mbps"][slot]
+        hol, average = fields["hol_delay_s"][slot], fields["average_rate_mbps"][slot]
         yield Moment(slot, rate, np.array(hol), np.array(average), terms, owner)
 
 

@@ -7,13 +7,15 @@ from pathlib import Path
 from hiersched.runs import paths
 from hiersched.runs.gains import load_gains
 from hiersched.runs.logging import RunLabel, clear_logs, write_log
-from hiersched.runs.policies import PolicyRunner
+from hiersched.runs.policies import PolicyRunner, world_slots
 from hiersched.runs.variants import group_policies
 from hiersched.scenario import Scenario
 
 
 def evaluate(scenario: Scenario, results: Path, group: str, run: PolicyRunner) -> None:
     """Run and log a group of policies; every policy runs in all worlds as one batch.
+
+    The beginning of the first worlds is also logged in full: to look at, not to measure.
 
     Parameters
     ----------
@@ -27,13 +29,20 @@ def evaluate(scenario: Scenario, results: Path, group: str, run: PolicyRunner) -
         How they are run.
     """
     schedule, gains = load_gains(results / paths.gain_file("schedule"), scenario)
-    num_slots = round(scenario.evaluate.duration_s / scenario.radio.slot_s)
-    seeds = scenario.evaluate.seeds
-    for policy in group_policies(scenario, scenario.evaluate.policies, group):
+    evaluation, slot_s = scenario.evaluate, scenario.radio.slot_s
+    num_slots, warmup_slots = world_slots(evaluation, slot_s)
+    full_slots = round(evaluation.full_log_s / slot_s)
+    seeds, profile = evaluation.seeds, scenario.log.evaluate_profile
+    for policy in group_policies(scenario, evaluation.policies, group):
         files = {seed: results / paths.evaluation_log(policy, seed) for seed in seeds}
-        clear_logs(files[seeds[0]].parent, set(files.values()))
+        full_files = {seed: results / name for seed, name in paths.full_logs(scenario, policy)}
+        clear_logs(files[seeds[0]].parent, {*files.values(), *full_files.values()})
         for world in run(scenario, gains, policy, "evaluate", seeds, num_slots):
             label = RunLabel(stage="evaluate", policy=policy, seed=world.seed)
-            profile = scenario.log.evaluate_profile
-            write_log(files[world.seed], scenario, schedule, label, world, profile=profile)
+            measured = world.after(warmup_slots)
+            write_log(files[world.seed], scenario, schedule, label, measured, profile=profile)
+            if world.seed in full_files:
+                first = world.beginning(full_slots)
+                path = full_files[world.seed]
+                write_log(path, scenario, schedule, label, first, profile="full")
         print(f"evaluate {policy}: {len(seeds)} worlds of {num_slots} slots", flush=True)

@@ -188,7 +188,7 @@ def _run(
             variant,
             schedule,
             label,
-            profile=scenario.log.sweep_profile,
+            profile=scenario.log.gain_study_profile,
             metadata={"method": variant.control.method},
         ) as writer:
             log_block(writer, variant, schedule, record.environment(index))

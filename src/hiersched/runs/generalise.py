@@ -7,7 +7,7 @@ from pathlib import Path
 from hiersched.runs import paths
 from hiersched.runs.gains import load_gains
 from hiersched.runs.logging import RunLabel, clear_logs, write_log
-from hiersched.runs.policies import PolicyRunner
+from hiersched.runs.policies import PolicyRunner, world_slots
 from hiersched.runs.variants import cell_scenario, cell_text, group_policies
 from hiersched.scenario import Scenario
 
@@ -27,7 +27,7 @@ def generalise(scenario: Scenario, results: Path, group: str, run: PolicyRunner)
         How they are run.
     """
     seeds = scenario.generalise.seeds
-    num_slots = round(scenario.generalise.duration_s / scenario.radio.slot_s)
+    num_slots, warmup_slots = world_slots(scenario.generalise, scenario.radio.slot_s)
     wanted = {results / name for name in paths.cell_logs(scenario, group)}
     for folder in {path.parent for path in wanted}:
         clear_logs(folder, wanted)
@@ -43,7 +43,7 @@ def generalise(scenario: Scenario, results: Path, group: str, run: PolicyRunner)
                     variant,
                     schedule,
                     RunLabel(stage="generalise", policy=policy, seed=world.seed, **point),
-                    world,
+                    world.after(warmup_slots),
                     profile=scenario.log.sweep_profile,
                 )
         print(f"generalise {cell_text(cell)}: {', '.join(policies)}", flush=True)

@@ -1,4 +1,4 @@
-"""What a log says about the run that it is of: enough to run it again, and every field of its slots."""
+"""What a log says about its run: enough to run it again, and every field of its slots."""
 
 from __future__ import annotations
 
@@ -217,6 +217,10 @@ class RunSlots:
     warmup_slots: int
     fields: dict[str, NDArray[Any]]
 
+    def measured(self, name: str) -> NDArray[Any]:
+        """Return a field behind the warm-up."""
+        return self.fields[name][self.warmup_slots :]
+
 
 _TOPIC_OF = {field.name: topic for topic, entry in TOPICS.items() for field in entry.fields[1:]}
 
@@ -244,12 +248,15 @@ def read_slots(path: str | os.PathLike[str], names: Sequence[str]) -> RunSlots:
     if unknown := [name for name in names if name not in _TOPIC_OF]:
         raise ValueError(f"names: {', '.join(unknown)}: no field of a log")
     with LogReader(path, verify="chunks") as log:
-        present = {f.name for topic in TOPICS.values() for f in topic.fields_in(log.profile)}
-        complete = present.issuperset(names)
+        present = [
+            field.name for topic in TOPICS.values() for field in topic.fields_in(log.profile)[1:]
+        ]
+        complete = set(present).issuperset(names)
         fields: dict[str, NDArray[Any]] = {}
-        for topic in dict.fromkeys(map(_TOPIC_OF.__getitem__, names if complete else present)):
+        for topic in log.topics:
             wanted = [n for n in (names if complete else present) if _TOPIC_OF[n] == topic]
-            fields |= log.read(topic, wanted)
+            if wanted:
+                fields |= log.read(topic, wanted)
         fields.pop("slot", None)
         metadata, num_urllc, slot_s = log.metadata, log.dims.num_urllc, log.slot_ns * 1e-9
     return RunSlots(

@@ -12,6 +12,7 @@ from hiersched.runs.variants import (
     design_of,
     gain_designs,
     group_policies,
+    group_runs,
     policy_groups,
     study_scenario,
     swept_policies,
@@ -69,6 +70,25 @@ TABLES = (
     "gain_sweeps",
     "gain_stability",
 )
+
+
+def measures_file(group: str) -> str:
+    """Measures of every run of a group of policies."""
+    return f"measures/{group}.csv"
+
+
+def measures_files(scenario: Scenario) -> list[str]:
+    """List the measures of all groups of policies that run."""
+    groups = policy_groups(scenario)
+    return [measures_file(group) for group in groups if group_runs(scenario, group)]
+
+
+def measured_logs(scenario: Scenario, group: str) -> list[str]:
+    """List the logs from which the measures of a group come."""
+    names = [*evaluation_logs(scenario, group), *cell_logs(scenario, group)]
+    for axis in SWEPT_KEYS:
+        names += sweep_logs(scenario, axis, group)
+    return names
 
 
 def gain_file(design: str) -> str:
@@ -134,6 +154,19 @@ def evaluation_logs(scenario: Scenario, group: str) -> list[str]:
         for policy in group_policies(scenario, scenario.evaluate.policies, group)
         for seed in scenario.evaluate.seeds
     ]
+
+
+def full_logs(scenario: Scenario, policy: str) -> list[tuple[int, str]]:
+    """List seed and path of the logs that show the beginning of a policy's worlds in full."""
+    seeds = scenario.evaluate.seeds[: scenario.evaluate.full_logs]
+    return [(seed, f"eval/{policy}/seed{seed}_full.mcap") for seed in seeds]
+
+
+def evaluation_outputs(scenario: Scenario, group: str) -> list[str]:
+    """List all logs that the evaluation of a group of policies writes."""
+    policies = group_policies(scenario, scenario.evaluate.policies, group)
+    full = [name for policy in policies for _, name in full_logs(scenario, policy)]
+    return [*evaluation_logs(scenario, group), *full]
 
 
 def sweep_log(axis: str, policy: str, value: float | str, seed: int) -> str:
@@ -227,8 +260,5 @@ def all_logs(scenario: Scenario) -> list[str]:
     for axis in GAIN_SWEEPS:
         names += gain_sweep_logs(scenario, axis)
     for group in policy_groups(scenario):
-        names += evaluation_logs(scenario, group)
-        names += cell_logs(scenario, group)
-        for axis in SWEPT_KEYS:
-            names += sweep_logs(scenario, axis, group)
+        names += measured_logs(scenario, group)
     return names

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hiersched.randomness import world_key
 from hiersched.scenario import Scenario
+from hiersched.scenario.schema import Worlds
 from hiersched.simulator import Gains, Simulator
 
 
@@ -22,6 +23,20 @@ class WorldRun:
     fields: Mapping[str, NDArray[Any]]
     metadata: Mapping[str, str] = field(default_factory=dict)
     attachments: Mapping[str, bytes] = field(default_factory=dict)
+
+    def after(self, warmup_slots: int) -> WorldRun:
+        """Return the run with its warm-up noted, which measures leave out."""
+        return replace(self, metadata={**self.metadata, "warmup_slots": str(warmup_slots)})
+
+    def beginning(self, num_slots: int) -> WorldRun:
+        """Return the first slots of the run."""
+        fields = {name: values[:num_slots] for name, values in self.fields.items()}
+        return replace(self, fields=fields)
+
+
+def world_slots(worlds: Worlds, slot_s: float) -> tuple[int, int]:
+    """Slots of a world and those of its warm-up, which are the first of them."""
+    return round((worlds.warmup_s + worlds.duration_s) / slot_s), round(worlds.warmup_s / slot_s)
 
 
 class PolicyRunner(Protocol):

@@ -67,7 +67,10 @@ KEYS: dict[str, tuple[str, ...]] = {
         *_SLOT_LOOP,
         "learning.reward_scale",
         "evaluate.seeds",
+        "evaluate.warmup_s",
         "evaluate.duration_s",
+        "evaluate.full_logs",
+        "evaluate.full_log_s",
         *_LOG_FORM,
         "log.evaluate_profile",
     ),
@@ -75,6 +78,7 @@ KEYS: dict[str, tuple[str, ...]] = {
         *_SLOT_LOOP,
         "learning.reward_scale",
         "sweeps.seeds",
+        "sweeps.warmup_s",
         "sweeps.duration_s",
         *_LOG_FORM,
         "log.sweep_profile",
@@ -83,10 +87,23 @@ KEYS: dict[str, tuple[str, ...]] = {
         *_SLOT_LOOP,
         "learning.reward_scale",
         "generalise.seeds",
+        "generalise.warmup_s",
         "generalise.duration_s",
         "generalise.cells",
         *_LOG_FORM,
         "log.sweep_profile",
+    ),
+    "measure": (
+        "name",
+        "users",
+        "radio",
+        "traffic",
+        "objective.penalty_weight",
+        "robot.window_s",
+        "evaluate.seeds",
+        "sweeps.seeds",
+        "generalise.seeds",
+        "generalise.cells",
     ),
     "bound": (*_SLOT_LOOP, "learning.reward_scale", "evaluate", "bound"),
     "gain_study": (
@@ -96,14 +113,14 @@ KEYS: dict[str, tuple[str, ...]] = {
         "gain_study.num_windows",
         "gain_study.violation_windows",
         *_LOG_FORM,
-        "log.sweep_profile",
+        "log.gain_study_profile",
     ),
     "gain_sweep": (
         *_FORCED_DELAYS,
         "gain_study.sweep_robots",
         "gain_study.sweep_windows",
         *_LOG_FORM,
-        "log.sweep_profile",
+        "log.gain_study_profile",
     ),
     "stability": (
         *_DESIGN,
@@ -156,8 +173,11 @@ def evaluate_values(scenario: Scenario, group: str) -> dict[str, Any]:
 def sweep_values(scenario: Scenario, axis: str, group: str) -> dict[str, Any]:
     """Pick what a group along a sweep depends on: not the value that the sweep replaces."""
     values = picked(scenario, (*KEYS["sweep"], f"sweeps.{axis}"))
-    if axis != "sampling_s":  # control.sampling_s says which schedule is the scenario's own
+    if axis in ("rayleigh_scale", "reference", "load"):
         del values[SWEPT_KEYS[axis]]
+    elif axis == "service_coefficient_mbps":
+        del values["traffic.service_coefficient_mbps"]
+        values |= picked(scenario, ("sweeps.sampling_s",))
     policies = group_policies(scenario, swept_policies(scenario, axis), group)
     return {**values, "policies": sorted(policies)}
 
@@ -166,6 +186,19 @@ def cell_values(scenario: Scenario, group: str) -> dict[str, Any]:
     """Pick what a group of policies in cells of other sizes depends on."""
     policies = group_policies(scenario, scenario.generalise.policies, group)
     return {**picked(scenario, KEYS["generalise"]), "policies": sorted(policies)}
+
+
+def measure_values(scenario: Scenario, group: str) -> dict[str, Any]:
+    """Pick what the measures of a group depend on, besides the logs: what is in which of them."""
+    values = picked(scenario, KEYS["measure"])
+    for axis in SWEPT_KEYS:
+        values |= picked(scenario, (f"sweeps.{axis}",))
+        policies = group_policies(scenario, swept_policies(scenario, axis), group)
+        values[f"policies of {axis}"] = list(policies)
+    for section in ("evaluate", "generalise"):
+        policies = group_policies(scenario, getattr(scenario, section).policies, group)
+        values[f"policies of {section}"] = list(policies)
+    return values
 
 
 def bound_values(scenario: Scenario) -> dict[str, Any]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from hiersched.runs import paths
 from hiersched.runs.gains import load_gains
 from hiersched.runs.logging import RunLabel, clear_logs, write_log
-from hiersched.runs.policies import PolicyRunner
+from hiersched.runs.policies import PolicyRunner, world_slots
 from hiersched.runs.variants import (
     group_policies,
     swept_policies,
@@ -44,7 +44,7 @@ def sweep(scenario: Scenario, results: Path, axis: str, group: str, run: PolicyR
         schedule, gains = load_gains(
             results / paths.swept_gain_file(scenario, axis, value), variant
         )
-        num_slots = round(scenario.sweeps.duration_s / variant.radio.slot_s)
+        num_slots, warmup_slots = world_slots(scenario.sweeps, variant.radio.slot_s)
         for policy in policies:
             for world in run(variant, gains, policy, "sweep", seeds, num_slots):
                 point = {"axis": axis, "value": value_text(value)}
@@ -53,7 +53,7 @@ def sweep(scenario: Scenario, results: Path, axis: str, group: str, run: PolicyR
                     variant,
                     schedule,
                     RunLabel(stage="sweep", policy=policy, seed=world.seed, **point),
-                    world,
+                    world.after(warmup_slots),
                     profile=scenario.log.sweep_profile,
                 )
         print(f"sweep {axis} = {value_text(value)}: {', '.join(policies)}", flush=True)

@@ -7,6 +7,8 @@ from dataclasses import replace
 from functools import partial
 from typing import Literal, TypeAlias
 
+import numpy as np
+
 from hiersched.scenario import Scenario, ScenarioError
 from hiersched.scenario.consistency import inconsistencies
 from hiersched.scenario.schema import Control, GainMethod, Users
@@ -16,8 +18,10 @@ SWEPT_KEYS = {
     "sampling_s": "control.sampling_s",
     "reference": "robot.reference",
     "load": "traffic.load",
+    "load_ratio": "traffic.embb_offered_mbps / traffic.urllc_offered_mbps",
+    "service_coefficient_mbps": "traffic.service_coefficient_mbps, control.sampling_s",
 }
-"""Axis of a sweep -> the key that it varies."""
+"""Axis of a sweep -> what it varies: a key, or more than one."""
 
 Gain = Literal["nominal", "adjusted"]
 Cell: TypeAlias = tuple[int, int, int]
@@ -54,6 +58,10 @@ def swept_values(scenario: Scenario, axis: str) -> tuple[float | str, ...]:
     if axis not in SWEPT_KEYS:
         raise ValueError(f"axis = {axis!r}: must be one of {', '.join(SWEPT_KEYS)}")
     values: tuple[float | str, ...] = getattr(scenario.sweeps, axis)
+    if axis == "service_coefficient_mbps":
+        intervals = scenario.sweeps.sampling_s
+        ends = dict.fromkeys((min(intervals), max(intervals)))
+        return tuple(f"{value_text(v)}_{value_text(h)}" for v in values for h in ends)
     return values
 
 
@@ -77,9 +85,43 @@ def swept_scenario(scenario: Scenario, axis: str, value: float | str) -> Scenari
     ScenarioError
         If the value does not fit the rest of the scenario.
     """
-    section, key = SWEPT_KEYS[axis].split(".")
-    changed = replace(getattr(scenario, section), **{key: value})
-    return _checked(replace(scenario, **{section: changed}), f"sweeps.{axis} = {value_text(value)}")
+    if axis == "load_ratio":
+        variant = _with_load_ratio(scenario, float(value))
+    elif axis == "service_coefficient_mbps":
+        coefficient, sampling_s = map(float, str(value).split("_"))
+        variant = replace(
+            scenario,
+            traffic=replace(scenario.traffic, service_coefficient_mbps=coefficient),
+            control=replace(scenario.control, sampling_s=sampling_s),
+        )
+    else:
+        section, key = SWEPT_KEYS[axis].split(".")
+        changed = replace(getattr(scenario, section), **{key: value})
+        variant = replace(scenario, **{section: changed})
+    return _checked(variant, f"sweeps.{axis} = {value_text(value)}")
+
+
+def _with_load_ratio(scenario: Scenario, ratio: float) -> Scenario:
+    """Return the scenario with another ratio of the mean loads of eMBB and URLLC users.
+
+    The sum of both means stays, and so does the spread within each slice.
+    """
+    traffic = scenario.traffic
+    urllc, embb = np.mean(traffic.urllc_offered_mbps), np.mean(traffic.embb_offered_mbps)
+    of_urllc = float((urllc + embb) / (1.0 + ratio) / urllc)
+    of_embb = float(ratio * (urllc + embb) / (1.0 + ratio) / embb)
+    changed = replace(
+        traffic,
+        urllc_offered_mbps=_times(traffic.urllc_offered_mbps, of_urllc),
+        embb_offered_mbps=_times(traffic.embb_offered_mbps, of_embb),
+    )
+    return replace(scenario, traffic=changed)
+
+
+def _times(offered_mbps: float | tuple[float, ...], factor: float) -> float | tuple[float, ...]:
+    if isinstance(offered_mbps, Sequence):
+        return tuple(load * factor for load in offered_mbps)
+    return offered_mbps * factor
 
 
 def cell_text(cell: Cell) -> str:
@@ -254,6 +296,13 @@ def group_policies(scenario: Scenario, policies: tuple[str, ...], group: str) ->
     if group == CLASSICAL_GROUP:
         return tuple(policy for policy in policies if policy not in scenario.learned)
     return tuple(policy for policy in policies if policy == group)
+
+
+def group_runs(scenario: Scenario, group: str) -> bool:
+    """Whether a policy of a group runs anywhere."""
+    lists = [scenario.evaluate.policies, scenario.generalise.policies]
+    lists += [swept_policies(scenario, axis) for axis in SWEPT_KEYS]
+    return any(group_policies(scenario, policies, group) for policies in lists)
 
 
 def check_variants(scenario: Scenario) -> None:

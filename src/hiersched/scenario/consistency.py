@@ -230,6 +230,8 @@ def _studies(scenario: Scenario) -> list[str]:
         "sampling_s": sweeps.sampling_s,
         "reference": sweeps.reference,
         "load": sweeps.load,
+        "load_ratio": sweeps.load_ratio,
+        "service_coefficient_mbps": sweeps.service_coefficient_mbps,
     }
     faults.extend(
         f"sweeps.{axis} = {list(points)}: every value once"
@@ -256,14 +258,36 @@ def _studies(scenario: Scenario) -> list[str]:
         ("sweeps", scenario.sweeps),
         ("generalise", scenario.generalise),
     ):
-        if not _is_multiple(section.duration_s, slot_s):
-            faults.append(
-                f"{name}.duration_s = {section.duration_s}: must be a multiple of "
-                f"radio.slot_s = {slot_s}"
-            )
+        for key, value in (("warmup_s", section.warmup_s), ("duration_s", section.duration_s)):
+            if value != 0.0 and not _is_multiple(value, slot_s):
+                faults.append(
+                    f"{name}.{key} = {value}: must be a multiple of radio.slot_s = {slot_s}"
+                )
         if len(set(section.policies)) != len(section.policies):
             faults.append(f"{name}.policies = {list(section.policies)}: every policy once")
         faults.extend(_policies(scenario, f"{name}.policies", section.policies))
+    return faults + _full_logs(scenario)
+
+
+def _full_logs(scenario: Scenario) -> list[str]:
+    evaluate, slot_s = scenario.evaluate, scenario.radio.slot_s
+    total_s = evaluate.warmup_s + evaluate.duration_s
+    faults = []
+    if evaluate.full_logs > len(evaluate.seeds):
+        faults.append(
+            f"evaluate.full_logs = {evaluate.full_logs}: at most as many as evaluate.seeds, "
+            f"{len(evaluate.seeds)}"
+        )
+    if not _is_multiple(evaluate.full_log_s, slot_s):
+        faults.append(
+            f"evaluate.full_log_s = {evaluate.full_log_s}: must be a multiple of "
+            f"radio.slot_s = {slot_s}"
+        )
+    if evaluate.full_logs and evaluate.full_log_s > total_s + 1e-9:
+        faults.append(
+            f"evaluate.full_log_s = {evaluate.full_log_s}: at most evaluate.warmup_s + "
+            f"evaluate.duration_s = {total_s:g}"
+        )
     return faults
 
 

@@ -204,27 +204,36 @@ class Learning:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evaluation:
-    """Held-out worlds in which every policy is run."""
+class Worlds:
+    """Held-out worlds in which policies run: a warm-up, then what is measured."""
 
     __pydantic_config__ = _STRICT
     seeds: Annotated[tuple[Seed, ...], NonEmpty]
+    warmup_s: NonNegative
     duration_s: Positive
     policies: Annotated[tuple[PolicyName, ...], NonEmpty]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sweeps:
+class Evaluation(Worlds):
+    """Held-out worlds in which every policy is run."""
+
+    __pydantic_config__ = _STRICT
+    full_logs: Annotated[int, Field(ge=0)]
+    full_log_s: Positive
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sweeps(Worlds):
     """One axis varied at a time."""
 
     __pydantic_config__ = _STRICT
-    seeds: Annotated[tuple[Seed, ...], NonEmpty]
-    duration_s: Positive
-    policies: Annotated[tuple[PolicyName, ...], NonEmpty]
     rayleigh_scale: Annotated[tuple[Positive, ...], NonEmpty]
     sampling_s: Annotated[tuple[Positive, ...], NonEmpty]
     reference: Annotated[tuple[Reference, ...], NonEmpty]
     load: Annotated[tuple[Positive, ...], NonEmpty]
+    load_ratio: Annotated[tuple[Positive, ...], NonEmpty]
+    service_coefficient_mbps: Annotated[tuple[NonNegative, ...], NonEmpty]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -236,13 +245,10 @@ class Bound:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Generalise:
+class Generalise(Worlds):
     """Cells of other sizes, in which trained policies run as they are."""
 
     __pydantic_config__ = _STRICT
-    seeds: Annotated[tuple[Seed, ...], NonEmpty]
-    duration_s: Positive
-    policies: Annotated[tuple[PolicyName, ...], NonEmpty]
     cells: Annotated[tuple[tuple[Count, Count, Count], ...], NonEmpty]
 
 
@@ -274,8 +280,9 @@ class Log:
     compression: Literal["zstd", "none"]
     chunk_bytes: Annotated[int, Field(ge=4096)]
     train_profile: Literal["full", "compact", "decisions"]
-    evaluate_profile: Literal["full", "compact"]
-    sweep_profile: Literal["full", "compact"]
+    evaluate_profile: Literal["full", "compact", "decisions"]
+    sweep_profile: Literal["full", "compact", "decisions"]
+    gain_study_profile: Literal["full", "compact"]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,11 +9,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
 from hiersched.scenario import Scenario
 from hiersched.study.claims import judge
-from hiersched.study.collect import gain_frame, training_frames
+from hiersched.study.collect import gain_frame, runs_frame, training_frames
 from hiersched.study.conditions import Frames
 from hiersched.study.files import write_bytes
 from hiersched.study.statistics import LEVEL
@@ -27,7 +25,7 @@ NAMES = ("claims.json", "claims.md")
 
 
 def write_claims(results_dir: str | os.PathLike[str], scenario: Scenario) -> list[Path]:
-    """Judge the claims by ``tables/runs.csv`` and the logs of training and gain study.
+    """Judge the claims by the measures of all runs and the logs of training and gain study.
 
     Parameters
     ----------
@@ -44,20 +42,17 @@ def write_claims(results_dir: str | os.PathLike[str], scenario: Scenario) -> lis
     Raises
     ------
     FileNotFoundError
-        If a log or the table is missing.
+        If a log or measures are missing.
     ValueError
         If the scenario runs too few policies, values or rounds for a claim.
     """
     results = Path(results_dir)
-    table = results / "tables" / "runs.csv"
-    if not table.is_file():
-        raise FileNotFoundError(f"{table}: no such table")
-    runs = pd.read_csv(table, dtype={"axis": str, "value": str})
-    swept = runs["axis"].notna()
+    runs = runs_frame(results, scenario)
+    evaluated = runs["stage"] == "evaluate"
     frames = Frames(
         training=training_frames(results, scenario),
-        runs=runs[~swept],
-        sweeps=runs[swept],
+        runs=runs[evaluated],
+        sweeps=runs[~evaluated],
         gains=gain_frame(results, scenario),
     )
     claims = judge(frames, scenario)

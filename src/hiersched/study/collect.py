@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,11 +14,25 @@ from numpy.typing import NDArray
 from hiersched.control import GainSchedule
 from hiersched.log import LogError, LogReader
 from hiersched.runs import paths
+from hiersched.runs.logged import RunSlots, read_slots
 from hiersched.runs.logging import slice_fields
-from hiersched.runs.variants import STUDY_PLANTS, baseline_method, cell_scenario, swept_policies
+from hiersched.runs.variants import (
+    STUDY_PLANTS,
+    SWEPT_KEYS,
+    baseline_method,
+    cell_scenario,
+    cell_text,
+    group_policies,
+    group_runs,
+    policy_groups,
+    swept_policies,
+    swept_values,
+    value_text,
+)
 from hiersched.scenario import Scenario
 from hiersched.scenario.schema import GainMethod
 from hiersched.study.fifo import FloatArray
+from hiersched.study.files import write_bytes
 from hiersched.study.metrics import (
     RunMetrics,
     run_metrics,
@@ -26,7 +40,6 @@ from hiersched.study.metrics import (
     tracking_error_by_window_cm,
 )
 
-SWEEP_AXES = ("rayleigh_scale", "sampling_s", "reference", "load")
 BASELINE = "pf"
 
 
@@ -35,52 +48,113 @@ def evaluation_log(results_dir: Path, policy: str, seed: int) -> Path:
     return _existing(results_dir / "eval" / policy / f"seed{seed}.mcap")
 
 
-def evaluation_frame(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
-    """Measure every evaluation: columns of `RunMetrics`, one row a policy and seed.
+def measure_group(results_dir: Path, scenario: Scenario, group: str) -> pd.DataFrame:
+    """Measure every run of a group of policies in evaluation, sweeps and cells of other sizes.
+
+    Parameters
+    ----------
+    results_dir
+        Folder of the study, with the logs.
+    scenario
+        The scenario that was run.
+    group
+        One of `variants.policy_groups`.
+
+    Returns
+    -------
+    DataFrame
+        Columns of `RunMetrics`, one row a log, in the scenario's order; `stage` says evaluate,
+        sweep or generalise, `axis` and `value` the point of a sweep or the cell.
 
     Raises
     ------
     FileNotFoundError
         If a log of the scenario's policies and seeds is missing.
     """
-    rows = [
-        _row(run_metrics(evaluation_log(results_dir, policy, seed), scenario), scenario)
-        for policy in scenario.evaluate.policies
-        for seed in scenario.evaluate.seeds
-    ]
+    rows: list[dict[str, Any]] = []
+
+    def measure(name: str, own: Scenario, stage: str, axis: str = "", value: str = "") -> None:
+        row = _row(run_metrics(_existing(results_dir / name), own), own)
+        rows.append({**row, "stage": stage, "axis": axis, "value": value})
+
+    for policy in group_policies(scenario, scenario.evaluate.policies, group):
+        for seed in scenario.evaluate.seeds:
+            measure(paths.evaluation_log(policy, seed), scenario, "evaluate")
+    for axis in SWEPT_KEYS:
+        for policy in group_policies(scenario, swept_policies(scenario, axis), group):
+            for value in swept_values(scenario, axis):
+                for seed in scenario.sweeps.seeds:
+                    name = paths.sweep_log(axis, policy, value, seed)
+                    measure(name, scenario, "sweep", axis, value_text(value))
+    for cell in scenario.generalise.cells:
+        variant = cell_scenario(scenario, cell)
+        for policy in group_policies(scenario, scenario.generalise.policies, group):
+            for seed in scenario.generalise.seeds:
+                name = paths.cell_log(cell, policy, seed)
+                measure(name, variant, "generalise", "cell", cell_text(cell))
     return pd.DataFrame(rows)
+
+
+def write_measures(results_dir: Path, scenario: Scenario, group: str) -> None:
+    """Write what `measure_group` returns where `runs_frame` reads it."""
+    table = measure_group(results_dir, scenario, group)
+    text: str = table.to_csv(index=False, lineterminator="\n")
+    write_bytes(results_dir / paths.measures_file(group), text.encode())
+
+
+def runs_frame(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
+    """Read the measures of every run: columns of `measure_group`, one row a log.
+
+    Raises
+    ------
+    FileNotFoundError
+        If the measures of a group are missing.
+    """
+    frames = [
+        pd.read_csv(
+            _existing(results_dir / paths.measures_file(group)),
+            dtype={"policy": str, "stage": str, "axis": str, "value": str},
+            float_precision="round_trip",
+        )
+        for group in policy_groups(scenario)
+        if group_runs(scenario, group)
+    ]
+    table = pd.concat(frames, ignore_index=True)
+    table[["axis", "value"]] = table[["axis", "value"]].fillna("")
+    table["value"] = [_axis_key(value) for value in table["value"]]
+    return table
+
+
+def evaluation_frame(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
+    """Measures of every evaluation, one row a policy and seed."""
+    return _stage(results_dir, scenario, "evaluate", scenario.evaluate.policies)
 
 
 def sweep_frame(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
-    """Measure every sweep: columns of `RunMetrics`, one row an axis, value, policy and seed."""
-    rows = []
-    for axis in SWEEP_AXES:
-        values = getattr(scenario.sweeps, axis)
-        for policy in swept_policies(scenario, axis):
-            logs = _sweep_logs(results_dir / "sweep" / axis / policy)
-            for value in values:
-                for seed in scenario.sweeps.seeds:
-                    path = logs.get((_axis_key(value), seed))
-                    if path is None:
-                        raise FileNotFoundError(
-                            f"{results_dir / 'sweep' / axis / policy}: no log of {axis} = {value}, "
-                            f"seed {seed}"
-                        )
-                    row = _row(run_metrics(path, scenario), scenario)
-                    rows.append({**row, "axis": axis, "value": value})
-    return pd.DataFrame(rows)
+    """Measures of every sweep, one row an axis, value, policy and seed."""
+    return _stage(results_dir, scenario, "sweep", ())
 
 
 def cell_frame(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
-    """Measure every run in a cell of another size: axis ``cell``, one row a policy and seed."""
-    rows = []
-    for cell in scenario.generalise.cells:
-        variant = cell_scenario(scenario, cell)
-        for policy in scenario.generalise.policies:
-            for seed in scenario.generalise.seeds:
-                path = _existing(results_dir / paths.cell_log(cell, policy, seed))
-                rows.append(_row(run_metrics(path, variant), variant))
-    return pd.DataFrame(rows)
+    """Measures of every run in a cell of another size: axis ``cell``, one row a policy and seed."""
+    return _stage(results_dir, scenario, "generalise", scenario.generalise.policies)
+
+
+def _stage(
+    results_dir: Path, scenario: Scenario, stage: str, policies: tuple[str, ...]
+) -> pd.DataFrame:
+    """Rows of one stage by axis and policy, in the scenario's order."""
+    runs = runs_frame(results_dir, scenario)
+    runs = runs[runs["stage"] == stage]
+    order = {name: place for place, name in enumerate(SWEPT_KEYS)}
+
+    def place(row: Any) -> tuple[int, int]:
+        listed = policies or swept_policies(scenario, row.axis)
+        return order.get(row.axis, 0), listed.index(row.policy)
+
+    places = [place(row) for row in runs[["axis", "policy"]].itertuples()]
+    rows = sorted(range(len(runs)), key=places.__getitem__)
+    return runs.iloc[rows].reset_index(drop=True)
 
 
 def gain_frame(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
@@ -189,12 +263,9 @@ def _training_columns(log: LogReader, length: int) -> dict[str, NDArray[Any]]:
     }
 
 
-def read_evaluation(
-    results_dir: Path, policy: str, seed: int, topic: str, field: str
-) -> NDArray[Any]:
-    """Read one field of an evaluation log, shape (T, ...)."""
-    with LogReader(evaluation_log(results_dir, policy, seed), verify="chunks") as log:
-        return log.read(topic, [field])[field]
+def read_evaluation(results_dir: Path, policy: str, seed: int, names: Sequence[str]) -> RunSlots:
+    """Read fields of every slot of an evaluation, its warm-up included."""
+    return read_slots(evaluation_log(results_dir, policy, seed), names)
 
 
 def violation_column(level: float) -> str:
@@ -212,16 +283,6 @@ def _row(metrics: RunMetrics, scenario: Scenario) -> dict[str, Any]:
     for user, share in enumerate(by_user):
         row[f"late_share_user_{user}"] = share
     return row
-
-
-def _sweep_logs(folder: Path) -> dict[tuple[float | str, int], Path]:
-    """Find the logs of a folder by value and seed, as their metadata has them."""
-    logs: dict[tuple[float | str, int], Path] = {}
-    for path in sorted(folder.glob("*.mcap")):
-        with LogReader(path, verify="chunks") as log:
-            metadata = log.metadata
-        logs[_axis_key(metadata["value"]), int(metadata["seed"])] = path
-    return logs
 
 
 def _axis_key(value: float | str) -> float | str:

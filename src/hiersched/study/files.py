@@ -7,7 +7,11 @@ from pathlib import Path
 
 
 def write_bytes(path: Path, data: bytes) -> Path:
-    """Write a file under another name first and rename it then; return its path."""
+    """Write a file under another name first and rename it then; return its path.
+
+    Its folder is created.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(path.name + ".part")
     part.write_bytes(data)
     os.replace(part, path)

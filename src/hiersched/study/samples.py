@@ -37,8 +37,9 @@ def reference_backlog(results: Path, scenario: Scenario) -> dict[str, Interval]:
     if BASELINE not in scenario.evaluate.policies:
         return {}
     length, urllc = scenario.learning.slots_per_episode, scenario.users.num_urllc
+    name = "backlog_packets"
     backlogs = [
-        read_evaluation(results, BASELINE, seed, "/queue", "backlog_packets")[:length]
+        read_evaluation(results, BASELINE, seed, [name]).fields[name][:length]
         for seed in scenario.evaluate.seeds
     ]
     return {
@@ -61,7 +62,7 @@ def rate_distributions(results: Path, scenario: Scenario) -> pd.DataFrame:
     users = {"embb": slice(urllc, None), "urllc": slice(0, urllc)}
     rates = {
         policy: [
-            read_evaluation(results, policy, seed, "/allocation", "rate_mbps")
+            read_evaluation(results, policy, seed, ["rate_mbps"]).measured("rate_mbps")
             for seed in scenario.evaluate.seeds
         ]
         for policy in (learned, BASELINE)

@@ -196,7 +196,7 @@ def gain_table(gains: pd.DataFrame) -> pd.DataFrame:
 def rate_table(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
     """Return Table III: mean URLLC rate of learned policy and PF at three slots and over all.
 
-    The first slot is slot 1. The channel gain is the mean of the squared fading amplitude over
+    The first slot is slot 1; all is what lies behind the warm-up. The channel gain is the mean of the squared fading amplitude over
     URLLC users and PRBs, the same for both policies.
     """
     learned, urllc = scenario.learning.algorithm, scenario.users.num_urllc
@@ -205,17 +205,19 @@ def rate_table(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
     if not present:
         return pd.DataFrame(columns=["slot", "seeds"])
 
-    def by_slot(policy: str, topic: str, field: str) -> np.ndarray[Any, Any]:
+    warmup_slots = round(scenario.evaluate.warmup_s / scenario.radio.slot_s)
+
+    def by_slot(policy: str, name: str) -> np.ndarray[Any, Any]:
         """Return the mean over URLLC users, shape (seeds, T)."""
-        logs = [read_evaluation(results_dir, policy, seed, topic, field) for seed in seeds]
+        logs = [read_evaluation(results_dir, policy, seed, [name]).fields[name] for seed in seeds]
         return np.array([log[:, :urllc].mean(axis=1, dtype=np.float64) for log in logs])
 
-    gain = by_slot(present[0], "/channel", "mean_fading_power")
-    rates = {policy: by_slot(policy, "/allocation", "rate_mbps") for policy in present}
+    gain = by_slot(present[0], "mean_fading_power")
+    rates = {policy: by_slot(policy, "rate_mbps") for policy in present}
     rows = []
     slots: list[int | str] = [*TABLE3, "mean"]
     for slot in slots:
-        at = slice(slot - 1, slot) if isinstance(slot, int) else slice(None)
+        at = slice(slot - 1, slot) if isinstance(slot, int) else slice(warmup_slots, None)
         if not gain[:, at].size:
             raise ValueError(f"slot {slot}: the runs have {gain.shape[1]} slots")
         printed = TABLE3.get(slot) if isinstance(slot, int) else None
