@@ -40,6 +40,8 @@ def test_every_log_of_a_study_is_what_the_simulator_computes(study: Path) -> Non
     assert stages == {
         ("train", "ddpg"): 1,
         ("train", "flat"): 1,
+        ("checkpoint", "ddpg"): 1,
+        ("checkpoint", "flat"): 1,
         **{("evaluate", policy): 2 for policy in EVALUATED},
         **{("sweep", policy): 2 for policy in ("ddpg", "pf")},
         **{("generalise", policy): 1 for policy in ("ddpg", "pf")},
@@ -51,7 +53,8 @@ def test_batches_are_the_same_run(study: Path, monkeypatch: pytest.MonkeyPatch) 
     """However a long log is cut."""
     monkeypatch.setattr(logged, "_BATCH_SLOTS", 7)
     seen: list[int] = []
-    for name in (FULL, "train/ddpg/seed1.mcap", "gain_study/krasovskii_adjusted_seed31.mcap"):
+    training = "train/ddpg/seed1.mcap", "train/ddpg/checkpoints_seed1.mcap"
+    for name in (FULL, *training, "gain_study/krasovskii_adjusted_seed31.mcap"):
         run = load_run(study / name)
         assert sum(batch.num_envs * batch.num_slots for batch in run.batches()) == run.num_slots
         assert len(list(run.batches())) >= 4
@@ -189,7 +192,10 @@ def test_another_seed_is_another_world(study: Path, tmp_path: Path, rewrite: Any
 
 def test_logs_that_cannot_be_run_again_say_why(study: Path, tmp_path: Path, rewrite: Any) -> None:
     cases = [
-        (lambda f, e, m: m.update(stage="demo"), "its stage is 'demo'; allowed: train, evaluate"),
+        (
+            lambda f, e, m: m.update(stage="demo"),
+            "its stage is 'demo'; allowed: train, checkpoint, evaluate",
+        ),
         (lambda f, e, m: m.pop("policy"), "it has no policy"),
         (lambda f, e, m: m.update(scenario_sha256="0"), "the attached scenario is not the one"),
         (lambda f, e, m: m.update(seed="one"), "invalid literal"),

@@ -22,7 +22,8 @@ learning: {seeds: [1, 2], episodes: 6, slots_per_episode: 10, num_envs: 2, hidde
            batch_size: 8, warmup_slots: 4}
 evaluate: {seeds: [11, 12, 13], warmup_s: 0.0, duration_s: 0.2, full_logs: 0,
            policies: [ddpg, pf, edf]}
-sweeps: {seeds: [21], warmup_s: 0.0, duration_s: 0.1, policies: [ddpg, pf], rayleigh_scale: [0.5, 1],
+sweeps: {seeds: [21], warmup_s: 0.0, duration_s: 0.1, policies: [ddpg, pf],
+         rayleigh_scale: [0.5, 1],
          sampling_s: [0.02, 0.04], reference: [arc], load: [0.9],
          load_ratio: [1.5], service_coefficient_mbps: [2.0]}
 generalise: {warmup_s: 0.0}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 
 from hiersched.learning.policy import Policy, rollout
 from hiersched.log import LogReader
+from hiersched.randomness import world_keys
 from hiersched.runs import paths
 from hiersched.runs import train as stage
 from hiersched.runs.evaluate import evaluate
@@ -17,10 +19,17 @@ from hiersched.runs.learned import LearnedRunner
 from hiersched.runs.policies import seed_worlds
 from hiersched.runs.train import train_and_log
 from hiersched.scenario import Scenario
+from hiersched.scenario.schema import checkpoint_rounds
 from hiersched.simulator import Simulator
 from hiersched.simulator.gains import LoopGains
 
 EPISODES, SLOTS = 6, 10
+
+
+def fields_of(path: Path) -> dict[str, np.ndarray]:
+    """All fields of a log."""
+    with LogReader(path) as log:
+        return {k: v for topic in log.topics for k, v in log.read(topic).items() if k != "slot"}
 
 
 @pytest.fixture(scope="module")
@@ -51,6 +60,47 @@ def test_every_slot_of_training_is_logged(tiny: Scenario, trained: Path) -> None
     assert not (trained / paths.CHECKPOINTS / "ddpg").exists()
 
 
+def test_checkpoints_run_in_the_same_worlds_without_noise(tiny: Scenario, trained: Path) -> None:
+    """The start is PF for every seed; training moves on from it, in the very same worlds."""
+    logs = [fields_of(trained / name) for name in paths.checkpoint_logs(tiny, "ddpg")]
+    worlds = tiny.learning.checkpoint_worlds
+    shape = (len(checkpoint_rounds(tiny.learning)), worlds, SLOTS, -1)
+    assert shape[0] == 4  # the start and three rounds
+    for name in ("mean_fading_power", "weight", "backlog_packets"):
+        first, second = (fields[name].reshape(shape) for fields in logs)
+        np.testing.assert_array_equal(first[0], second[0])
+    for fields in logs:
+        assert (fields["weight"].reshape(shape)[0] == 1.0).all()
+        fading = fields["mean_fading_power"].reshape(shape)
+        np.testing.assert_array_equal(fading, np.broadcast_to(fading[:1], fading.shape))
+        assert len(np.unique(fading[0, :, 0, 0])) == worlds
+
+
+def test_a_frozen_learner_stays_as_it_starts(tiny: Scenario, results: Path) -> None:
+    """Its policy is the scheduler it starts from; in training it has the noise, which falls."""
+    for algorithm, start in (("ddpg", "pf"), ("a2c", "drift_plus_penalty")):
+        frozen = replace(tiny.learning, frozen=True, algorithm=algorithm, start=start)
+        scenario = replace(tiny, learners={"frozen": frozen})
+        train_and_log(scenario, "frozen", results, "code", show=False)
+        fixed, noisy = (
+            fields_of(results / f"train/frozen/{name}seed1.mcap") for name in ("checkpoints_", "")
+        )
+        assert (fixed["weight"] == 1.0).all()
+        spread = np.log(noisy["weight"]).reshape(3, -1).std(axis=1)
+        assert (np.diff(spread) < 0.0).all()
+        loop = Simulator(
+            scenario,
+            load_gains(results / "gains/schedule.json", scenario)[1],
+            world_keys("checkpoint", 0, 1),
+            SLOTS,
+        )
+        record = loop.run(start)
+        np.testing.assert_array_equal(fixed["rate_mbps"][:SLOTS], record.rate_mbps[0])
+        policy = Policy.load(results / paths.policy_file("frozen", 1))
+        features = np.random.default_rng(0).normal(size=(1, 4, 8)).astype(np.float32)
+        np.testing.assert_array_equal(policy.act(features), 1.0)
+
+
 class InterruptedRunError(Exception):
     pass
 
@@ -64,7 +114,8 @@ def test_an_interrupted_training_ends_in_the_same_bits(
     def add_then_stop(self: stage.RoundLogs, seed_index: int, fields: dict) -> None:
         add(self, seed_index, fields)
         calls.append(seed_index)
-        if len(calls) == 6:  # in the middle of the second of three rounds
+        # 2 seeds of 8 worlds at the start, 2 of 2 episodes, 2 of 8 worlds, then in the second round
+        if len(calls) == 16 + 4 + 16 + 2:
             raise InterruptedRunError
 
     monkeypatch.setattr(stage.RoundLogs, "add", add_then_stop)
@@ -73,7 +124,7 @@ def test_an_interrupted_training_ends_in_the_same_bits(
     assert not list((results / "train/ddpg").glob("*.mcap"))  # nothing looks complete
     monkeypatch.setattr(stage.RoundLogs, "add", add)
     train_and_log(tiny, "ddpg", results, "code", show=False)
-    for name in paths.training_logs(tiny, "ddpg"):
+    for name in (*paths.training_logs(tiny, "ddpg"), *paths.checkpoint_logs(tiny, "ddpg")):
         assert (results / name).read_bytes() == (trained / name).read_bytes()
     for name in paths.policy_files(tiny, "ddpg"):
         a, b = Policy.load(results / name), Policy.load(trained / name)

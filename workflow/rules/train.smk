@@ -12,6 +12,7 @@ for s in SCENARIOS:
             output:
                 policies=whole(inside(s, paths.policy_files(s, learner))),
                 logs=whole(inside(s, paths.training_logs(s, learner))),
+                checkpoints=whole(inside(s, paths.checkpoint_logs(s, learner))),
                 progress=ensure(f"{folder(s)}/{paths.progress_file(learner)}", non_empty=True),
             log:
                 f"{folder(s)}/logs/train_{learner}.log",

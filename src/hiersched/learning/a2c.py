@@ -86,6 +86,18 @@ class A2c:
         """Begin a round; every rollout has been learnt from by the end of the last one."""
         self._features = [features]
 
+    def act(self, features: NDArray[np.float32]) -> NDArray[np.float32]:
+        """As in `Algorithm`."""
+        actions: NDArray[np.float32] = np.tanh(self._raw(features))
+        return actions
+
+    def _raw(self, features: NDArray[np.float32]) -> NDArray[np.float32]:
+        with torch.no_grad():
+            inputs = self.network.inputs(torch.from_numpy(features))
+            outputs = self.network.actor.forward(self.actor, inputs)
+            raw: NDArray[np.float32] = self.network.raw_actions(outputs, len(features)).numpy()
+            return raw
+
     def explore(self, features: NDArray[np.float32], done: float) -> NDArray[np.float32]:
         """Draw actions, shape (seeds, E, U); the spread changes between rollouts only."""
         learning = self._learning
@@ -93,10 +105,7 @@ class A2c:
             self._spread = exploration_spread(
                 learning.exploration_std, learning.exploration_final_std, done
             )
-        with torch.no_grad():
-            inputs = self.network.inputs(torch.from_numpy(features))
-            outputs = self.network.actor.forward(self.actor, inputs)
-            mean = self.network.raw_actions(outputs, len(features)).numpy()
+        mean = self._raw(features)
         drawn = mean + self._spread * seeded_normals(self._generators, mean.shape[1:])
         self._drawn.append(drawn)
         actions: NDArray[np.float32] = np.tanh(drawn)

@@ -51,10 +51,14 @@ class Ddpg:
         """As in `Algorithm`."""
         self.replay.start_round(features)
 
+    def act(self, features: NDArray[np.float32]) -> NDArray[np.float32]:
+        """As in `Algorithm`."""
+        return self.learner.act(features)
+
     def explore(self, features: NDArray[np.float32], done: float) -> NDArray[np.float32]:
         """As in `Algorithm`."""
         learning = self._learning
-        actions = self.learner.act(features)
+        actions = self.act(features)
         spread = exploration_spread(learning.exploration_std, learning.exploration_final_std, done)
         noise = seeded_normals(self._generators, actions.shape[1:])
         return np.clip(actions + spread * noise, -1.0, 1.0)

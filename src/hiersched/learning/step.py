@@ -39,6 +39,10 @@ class Algorithm(Protocol):
         """Begin a round of episodes with features (seeds, E, U, F)."""
         ...
 
+    def act(self, features: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Act without noise, shape (seeds, E, U)."""
+        ...
+
     def explore(self, features: NDArray[np.float32], done: float) -> NDArray[np.float32]:
         """Act with noise, shape (seeds, E, U), when a share `done` of the training is over."""
         ...

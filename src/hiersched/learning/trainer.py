@@ -15,15 +15,20 @@ from tqdm import tqdm
 from hiersched.env.core import SlotLoop
 from hiersched.learning.a2c import A2c
 from hiersched.learning.checkpoint import load_checkpoint, save_checkpoint
+from hiersched.learning.frozen import Frozen
 from hiersched.learning.multiplier import Multiplier, episode_constraint, step_multiplier
 from hiersched.learning.off_policy import Ddpg
 from hiersched.learning.policy import Policy, copy_slot, single_thread
 from hiersched.learning.progress import ProgressFile, RoundSums
 from hiersched.learning.rewards import user_rewards
 from hiersched.learning.step import Algorithm, Outcome
-from hiersched.randomness import world_key
+from hiersched.randomness import world_key, world_keys
 from hiersched.scenario import Scenario, scenario_sha256
+from hiersched.scenario.schema import checkpoint_rounds
 from hiersched.simulator import Gains, SlotRecord
+
+CHECKPOINT = "checkpoint"
+"""Purpose of the worlds in which policies run without noise, the same for all seeds."""
 
 Blocks = dict[str, NDArray[Any]]
 OnSlots = Callable[[int, Blocks], None]
@@ -58,8 +63,12 @@ class Trainer:
         self.generators = [
             np.random.default_rng(world_key("train/draws", seed)) for seed in learning.seeds
         ]
-        self.algorithm = ALGORITHMS[learning.algorithm](scenario, self.generators)
+        make = Frozen if learning.frozen else ALGORITHMS[learning.algorithm]
+        self.algorithm: Algorithm = make(scenario, self.generators)
         self.loop = SlotLoop(scenario, gains, self._worlds(), learning.slots_per_episode)
+        fixed = world_keys(CHECKPOINT, 0, learning.checkpoint_worlds)
+        self._fixed_worlds = np.tile(fixed, self.num_seeds)
+        self.fixed_loop = SlotLoop(scenario, gains, self._fixed_worlds, learning.slots_per_episode)
 
     def _worlds(self) -> NDArray[np.uint64]:
         learning = self.scenario.learning
@@ -103,6 +112,22 @@ class Trainer:
         self._step_multiplier(sums)
         self.round += 1
         return sums
+
+    def run_checkpoint(self, on_slot: Callable[[SlotRecord, int], None]) -> None:
+        """Run one episode in every fixed world without noise; nothing is learnt from it.
+
+        Parameters
+        ----------
+        on_slot
+            As for `run_round`, with leading axes (seeds * worlds, 1).
+        """
+        loop, worlds = self.fixed_loop, self.scenario.learning.checkpoint_worlds
+        loop.multipliers[:] = np.repeat(self.multiplier.value, worlds, axis=0)
+        features = self._by_seed(loop.reset(self._fixed_worlds))
+        for slot in range(self.scenario.learning.slots_per_episode):
+            actions = self.algorithm.act(features)
+            features = self._by_seed(loop.step(actions.reshape(len(loop.multipliers), -1)))
+            on_slot(loop.record, slot)
 
     def _outcome(self, following: NDArray[np.float32]) -> Outcome:
         """Say what the last slot brought, by seed; its record is overwritten by the next one."""
@@ -169,13 +194,13 @@ class Trainer:
 
 
 class _EpisodeBlocks:
-    """Collects a round's slots and hands them to a caller, episode by episode."""
+    """Collects the slots of episodes side by side and hands them to a caller, one by one."""
 
-    def __init__(self, trainer: Trainer, on_slots: OnSlots | None) -> None:
+    def __init__(self, loop: SlotLoop, num_seeds: int, on_slots: OnSlots | None) -> None:
         self._on_slots = on_slots
-        self._num_seeds = trainer.num_seeds
-        slots = trainer.scenario.learning.slots_per_episode
-        self._whole = None if on_slots is None else trainer.loop.simulator.new_record(slots)
+        self._num_seeds = num_seeds
+        slots = loop.simulator.num_slots
+        self._whole = None if on_slots is None else loop.simulator.new_record(slots)
 
     def add(self, one: SlotRecord, slot: int) -> None:
         if self._whole is not None:
@@ -194,6 +219,7 @@ def train(
     gains: Gains,
     *,
     on_slots: OnSlots | None = None,
+    on_checkpoint: OnSlots | None = None,
     progress: Path | None = None,
     checkpoint: Path | None = None,
     show: bool = True,
@@ -210,6 +236,9 @@ def train(
         Is called after every episode with the index of the seed and the episode's record, arrays
         (T, ...) by field; each seed's episodes come in order. The arrays are overwritten by the
         next round.
+    on_checkpoint
+        Likewise for the episodes without noise in the fixed worlds, which run at the start and
+        after some rounds (`checkpoint_rounds`); None runs none.
     progress
         CSV file with one row a seed and round; None writes none.
     checkpoint
@@ -238,7 +267,9 @@ def train(
         state = load_checkpoint(checkpoint, sha256)
         trainer.load_state(state["trainer"])
         report.rows, before = state["rows"], state["seconds"]
-    blocks = _EpisodeBlocks(trainer, on_slots)
+    blocks = _EpisodeBlocks(trainer.loop, trainer.num_seeds, on_slots)
+    fixed = _EpisodeBlocks(trainer.fixed_loop, trainer.num_seeds, on_checkpoint)
+    rounds = checkpoint_rounds(learning) if on_checkpoint is not None else ()
     round_slots = learning.num_envs * learning.slots_per_episode
     began = time.perf_counter() - before
     with (
@@ -258,9 +289,15 @@ def train(
             blocks.add(one, slot)
             bar.update(len(one.reward_urllc))
 
+        if trainer.round == 0 and 0 in rounds:
+            trainer.run_checkpoint(fixed.add)
+            fixed.hand_over()
         while trainer.round < trainer.num_rounds:
             sums = trainer.run_round(on_slot)
             blocks.hand_over()
+            if trainer.round in rounds:
+                trainer.run_checkpoint(fixed.add)
+                fixed.hand_over()
             seconds = time.perf_counter() - began
             report.add(
                 sums,

@@ -147,7 +147,7 @@ def rerun(run: LoggedRun, decider: Decider, out: str | os.PathLike[str]) -> None
         axis=run.metadata.get("axis", ""),
         value=run.metadata.get("value", ""),
     )
-    kept = ("slots_per_episode", "episodes", "warmup_slots")
+    kept = ("slots_per_episode", "episodes", "episodes_per_round", "warmup_slots")
     with open_log(
         Path(out),
         run.scenario,
@@ -166,7 +166,7 @@ def rerun(run: LoggedRun, decider: Decider, out: str | os.PathLike[str]) -> None
 
 def _episodes(run: LoggedRun, decider: Decider) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
     """Run the episodes; yield the first slot of each and its fields (T, ...)."""
-    if run.stage != "train":
+    if len(run.keys) == 1:
         seeds = decider.batch_seeds or (run.seed,)
         record = decider.run(_simulator(run, seed_worlds(run.stage, seeds), run.num_slots))
         yield 0, record.environment(seeds.index(run.seed))

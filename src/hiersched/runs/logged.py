@@ -20,7 +20,7 @@ from hiersched.scenario import Scenario, ScenarioError, load_resolved
 from hiersched.simulator import Gains, Simulator
 from hiersched.simulator.gains import loop_gains
 
-STAGES = ("train", "evaluate", "sweep", "generalise", "gain_study")
+STAGES = ("train", "checkpoint", "evaluate", "sweep", "generalise", "gain_study")
 _BATCH_SLOTS = 8192  # what is computed at once: memory for a few dozen megabytes of records
 
 
@@ -70,7 +70,7 @@ class LoggedRun:
         Keys that the attached scenario lacks, since an older version wrote it: they have today's
         defaults.
     keys
-        World of each episode, shape (N,); but for training N is 1.
+        World of each episode, shape (N,); but for training and its checkpoints N is 1.
     episode_slots
         Slots of an episode; the last one can be shorter.
     num_slots
@@ -175,10 +175,15 @@ def load_run(path: str | os.PathLike[str]) -> LoggedRun:
 def _worlds(metadata: dict[str, str], num_slots: int) -> tuple[NDArray[np.uint64], int]:
     """World of each episode, and the slots of one."""
     stage, seed = metadata["stage"], int(metadata["seed"])
-    if stage != "train":
+    if stage not in ("train", "checkpoint"):
         return np.array([world_key(stage, seed)], np.uint64), num_slots
     episode_slots = int(metadata["slots_per_episode"])
-    return world_keys(stage, seed, -(-num_slots // episode_slots)), episode_slots
+    episodes = -(-num_slots // episode_slots)
+    if stage == "train":
+        return world_keys(stage, seed, episodes), episode_slots
+    # The fixed worlds, the same for all seeds and once more at every checkpoint.
+    fixed = world_keys(stage, 0, int(metadata["episodes_per_round"]))
+    return np.resize(fixed, episodes), episode_slots
 
 
 @lru_cache(maxsize=8)

@@ -137,9 +137,23 @@ def training_logs(scenario: Scenario, learner: str) -> list[str]:
     return [training_log(learner, seed) for seed in scenario.learned[learner].seeds]
 
 
+def checkpoint_log(learner: str, seed: int) -> str:
+    """Log of the policies of one seed without noise, at the start and during training."""
+    return f"train/{learner}/checkpoints_seed{seed}.mcap"
+
+
+def checkpoint_logs(scenario: Scenario, learner: str) -> list[str]:
+    """List the logs of the policies of all seeds of a learner during training, without noise."""
+    return [checkpoint_log(learner, seed) for seed in scenario.learned[learner].seeds]
+
+
 def all_training_logs(scenario: Scenario) -> list[str]:
-    """List the logs of the training of all learners."""
-    return [name for learner in scenario.learned for name in training_logs(scenario, learner)]
+    """List the logs of the training of all learners, those without noise among them."""
+    return [
+        name
+        for learner in scenario.learned
+        for name in (*training_logs(scenario, learner), *checkpoint_logs(scenario, learner))
+    ]
 
 
 def evaluation_log(policy: str, seed: int) -> str:

@@ -19,12 +19,14 @@ from hiersched.runs.gains import load_gains
 from hiersched.runs.logging import RunLabel, clear_logs, log_block, open_log
 from hiersched.runs.variants import learner_scenario
 from hiersched.scenario import Scenario, scenario_sha256
+from hiersched.scenario.schema import checkpoint_rounds
 
 
 class RoundLogs:
     """Logs of the rounds that are complete, one file a seed and round, beside the checkpoint.
 
-    A log cannot be continued, so those of the seeds are put together from these at the end.
+    A round is so many episodes side by side, of the training or, without noise, in the fixed
+    worlds. A log cannot be continued, so those of the seeds are put together from these at the end.
 
     Parameters
     ----------
@@ -36,8 +38,12 @@ class RoundLogs:
         Whose training it is.
     folder
         Where the files go.
-    first_round
-        Rounds that were complete before.
+    stage
+        ``train`` or ``checkpoint``.
+    num_envs
+        Episodes of a round.
+    num_rounds, first_round
+        Rounds in all, and those that were complete before.
     """
 
     def __init__(
@@ -46,36 +52,40 @@ class RoundLogs:
         schedule: GainSchedule,
         learner: str,
         folder: Path,
+        *,
+        stage: str,
+        num_envs: int,
+        num_rounds: int,
         first_round: int,
     ) -> None:
         self._scenario = scenario
         self._learner = learner
         self._schedule = schedule
         self._folder = folder
-        num_seeds = len(scenario.learning.seeds)
-        self._episodes = [first_round * scenario.learning.num_envs] * num_seeds
+        self._stage = stage
+        self._num_envs = num_envs
+        self._num_rounds = num_rounds
+        self._episodes = [first_round * num_envs] * len(scenario.learning.seeds)
         self._writers: dict[int, LogWriter] = {}
 
     def add(self, seed_index: int, fields: Mapping[str, NDArray[Any]]) -> None:
         """Log the next episode of a seed."""
-        learning = self._scenario.learning
-        round_index, env = divmod(self._episodes[seed_index], learning.num_envs)
+        round_index, env = divmod(self._episodes[seed_index], self._num_envs)
         if env == 0:
             self._writers[seed_index] = self._open(
                 self.path(seed_index, round_index), seed_index, {"round": str(round_index)}
             )
         writer = self._writers[seed_index]
-        first_slot = self._episodes[seed_index] * learning.slots_per_episode
+        first_slot = self._episodes[seed_index] * self._scenario.learning.slots_per_episode
         log_block(writer, self._scenario, self._schedule, fields, first_slot)
         self._episodes[seed_index] += 1
-        if env == learning.num_envs - 1:
+        if env == self._num_envs - 1:
             writer.close()
 
     def join(self, seed_index: int, path: Path, attachments: Mapping[str, bytes]) -> None:
         """Put the rounds of a seed together into one log."""
-        learning = self._scenario.learning
         with self._open(path, seed_index, {}, attachments) as writer:
-            for round_index in range(learning.episodes // learning.num_envs):
+            for round_index in range(self._num_rounds):
                 with LogReader(self.path(seed_index, round_index)) as part:
                     fields: dict[str, NDArray[Any]] = {}
                     slots = np.empty(0, np.uint64)
@@ -88,10 +98,8 @@ class RoundLogs:
 
     def path(self, seed_index: int, round_index: int) -> Path:
         """File of one seed and round."""
-        return (
-            self._folder
-            / f"seed{self._scenario.learning.seeds[seed_index]}_round{round_index}.mcap"
-        )
+        seed = self._scenario.learning.seeds[seed_index]
+        return self._folder / f"{self._stage}_seed{seed}_round{round_index}.mcap"
 
     def _open(
         self,
@@ -105,11 +113,12 @@ class RoundLogs:
             path,
             self._scenario,
             self._schedule,
-            RunLabel(stage="train", policy=self._learner, seed=learning.seeds[seed_index]),
+            RunLabel(stage=self._stage, policy=self._learner, seed=learning.seeds[seed_index]),
             profile=self._scenario.log.train_profile,
             metadata={
                 "slots_per_episode": str(learning.slots_per_episode),
-                "episodes": str(learning.episodes),
+                "episodes": str(self._num_envs * self._num_rounds),
+                "episodes_per_round": str(self._num_envs),
                 "start": learning.start,
                 **metadata,
             },
@@ -143,27 +152,48 @@ def train_and_log(
     if checkpoint.exists():
         done = int(load_checkpoint(checkpoint, scenario_sha256(scenario))["trainer"]["round"])
         print(f"going on after round {done} of {checkpoint}", flush=True)
-    logs = RoundLogs(scenario, schedule, learner, checkpoint.parent, done)
+    learning = scenario.learning
+    rounds = checkpoint_rounds(learning)
+    logs = RoundLogs(
+        scenario,
+        schedule,
+        learner,
+        checkpoint.parent,
+        stage="train",
+        num_envs=learning.num_envs,
+        num_rounds=learning.episodes // learning.num_envs,
+        first_round=done,
+    )
+    fixed = RoundLogs(
+        scenario,
+        schedule,
+        learner,
+        checkpoint.parent,
+        stage="checkpoint",
+        num_envs=learning.checkpoint_worlds,
+        num_rounds=len(rounds),
+        first_round=sum(r <= done for r in rounds) if done else 0,
+    )
     progress = results / paths.progress_file(learner)
     progress.parent.mkdir(parents=True, exist_ok=True)
     policies = train(
         scenario,
         gains,
         on_slots=logs.add,
+        on_checkpoint=fixed.add,
         progress=progress,
         checkpoint=checkpoint,
         show=show,
     )
-    wanted = {results / name for name in paths.training_logs(study, learner)}
+    names = [*paths.training_logs(study, learner), *paths.checkpoint_logs(study, learner)]
+    wanted = {results / name for name in names}
     clear_logs(progress.parent, wanted)
     for index, policy in enumerate(policies):
         weights = results / paths.policy_file(learner, policy.seed)
         policy.save(weights)
-        logs.join(
-            index,
-            results / paths.training_log(learner, policy.seed),
-            {weights.name: weights.read_bytes()},
-        )
+        attachments = {weights.name: weights.read_bytes()}
+        logs.join(index, results / paths.training_log(learner, policy.seed), attachments)
+        fixed.join(index, results / paths.checkpoint_log(learner, policy.seed), {})
     shutil.rmtree(checkpoint.parents[1])
 
 

@@ -179,10 +179,13 @@ class Learning:
     reward: Literal["cooperative", "independent"]
     task_weight: NonNegative
     observe_robots: bool
+    frozen: bool
     seeds: Annotated[tuple[Seed, ...], NonEmpty]
     episodes: Count
     slots_per_episode: Count
     num_envs: Count
+    checkpoints: Count
+    checkpoint_worlds: Count
     hidden: Annotated[tuple[Count, ...], NonEmpty]
     weight_exponent: Annotated[float, Field(gt=0, le=20)]
     reward_scale: Positive
@@ -337,6 +340,13 @@ class Scenario:
     def max_delay_steps(self) -> int:
         """T_max, the largest delay that a gain is designed for, in control samples."""
         return delay_steps(self.control.max_delay_s, self.control.sampling_s)
+
+
+def checkpoint_rounds(learning: Learning) -> tuple[int, ...]:
+    """Return the rounds after which policies run without noise: from 0, the start, to the last."""
+    rounds = learning.episodes // learning.num_envs
+    count = learning.checkpoints
+    return tuple(dict.fromkeys(round(rounds * i / count) for i in range(count + 1)))
 
 
 def delay_steps(delay_s: float, sampling_s: float) -> int:

@@ -30,7 +30,7 @@ from hiersched.runs.variants import (
     value_text,
 )
 from hiersched.scenario import Scenario
-from hiersched.scenario.schema import GainMethod
+from hiersched.scenario.schema import GainMethod, checkpoint_rounds
 from hiersched.study.fifo import FloatArray
 from hiersched.study.files import write_bytes
 from hiersched.study.metrics import (
@@ -239,6 +239,47 @@ def training_frame(results_dir: Path, scenario: Scenario, learner: str) -> pd.Da
             columns = _training_columns(log, length)
             episode = np.arange(1, log.num_slots // length + 1)
         frames.append(pd.DataFrame({"seed": seed, "episode": episode, **columns}))
+    return pd.concat(frames, ignore_index=True)
+
+
+def checkpoint_frames(results_dir: Path, scenario: Scenario) -> dict[str, pd.DataFrame]:
+    """Read the noise-free checkpoints of every learner; see `checkpoint_frame`."""
+    return {
+        learner: checkpoint_frame(results_dir, scenario, learner) for learner in scenario.learned
+    }
+
+
+def checkpoint_frame(results_dir: Path, scenario: Scenario, learner: str) -> pd.DataFrame:
+    """Read what the policies of a learner do without noise, at the start and during training.
+
+    Returns
+    -------
+    DataFrame
+        Columns seed, episode (of the training behind which it is) and those of
+        `training_frame`: means over the fixed worlds.
+
+    Raises
+    ------
+    LogError
+        If a log has not every checkpoint of the scenario.
+    """
+    frames = []
+    learning = scenario.learned[learner]
+    episodes = [learning.num_envs * r for r in checkpoint_rounds(learning)]
+    for seed in learning.seeds:
+        path = results_dir / paths.checkpoint_log(learner, seed)
+        with LogReader(_existing(path), verify="chunks") as log:
+            length = int(log.metadata["slots_per_episode"])
+            worlds = int(log.metadata["episodes_per_round"])
+            if log.num_slots != length * worlds * len(episodes):
+                raise LogError(
+                    path,
+                    0,
+                    f"{log.num_slots} slots, must be {len(episodes)} checkpoints of {worlds} "
+                    f"episodes of {length} slots",
+                )
+            columns = _training_columns(log, length * worlds)
+        frames.append(pd.DataFrame({"seed": seed, "episode": episodes, **columns}))
     return pd.concat(frames, ignore_index=True)
 
 

@@ -196,8 +196,8 @@ def gain_table(gains: pd.DataFrame) -> pd.DataFrame:
 def rate_table(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
     """Return Table III: mean URLLC rate of learned policy and PF at three slots and over all.
 
-    The first slot is slot 1; all is what lies behind the warm-up. The channel gain is the mean of the squared fading amplitude over
-    URLLC users and PRBs, the same for both policies.
+    The first slot is slot 1; all is what lies behind the warm-up. The channel gain is the mean of
+    the squared fading amplitude over URLLC users and PRBs, the same for both policies.
     """
     learned, urllc = scenario.learning.algorithm, scenario.users.num_urllc
     seeds = scenario.evaluate.seeds
