@@ -3,9 +3,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hiersched.network.allocation import allocation_scratch
 from hiersched.network.lyapunov import UserTerms
-from hiersched.network.schedulers import CLASSICAL, SchedulerConstants, schedule_slot
+from hiersched.network.schedulers import (
+    CLASSICAL,
+    NEEDS,
+    SchedulerConstants,
+    schedule_slot,
+    scheduler_scratch,
+)
 
 
 def per_user(value, num_users):
@@ -51,9 +56,11 @@ def schedule(make_terms):
         weight=1.0,
         hol_delay_s=0.0,
         average_rate_mbps=10.0,
+        last_rate_mbps=0.0,
         deadline_s=0.02,
         late_share=0.05,
         num_urllc=None,
+        need="none",
         **terms,
     ):
         rate = np.ascontiguousarray(rate, np.float32)
@@ -64,6 +71,8 @@ def schedule(make_terms):
             num_urllc=num_users if num_urllc is None else num_urllc,
             log_rule_offset=1.1,
             log_rule_gain=5.0,
+            need=np.full(len(CLASSICAL), NEEDS[need]),
+            slot_s=0.01,
         )
         owner = np.full(num_prb, 10**6, np.uint32)
         schedule_slot(
@@ -73,10 +82,10 @@ def schedule(make_terms):
             per_user(weight, num_users),
             per_user(hol_delay_s, num_users),
             per_user(average_rate_mbps, num_users),
+            per_user(last_rate_mbps, num_users),
             make_terms(num_users, **terms),
             rules,
-            np.zeros(num_users),
-            allocation_scratch(num_users, num_prb),
+            scheduler_scratch(num_users, num_prb),
             owner,
         )
         return owner.tolist()

@@ -213,14 +213,15 @@ def test_need_is_met_in_the_order_of_urgency():
     owner = np.zeros(5, np.uint32)
     scratch = allocation_scratch(3, 5)
     need = np.array([20.0, 0.0, 12.0])
-    allocate_by_urgency(rate, np.array([1.0, 0.0, 2.0]), need, scratch, owner)
+    scratch.need[:] = need
+    allocate_by_urgency(rate, np.array([1.0, 0.0, 2.0]), scratch, owner)
     assert owner.tolist() == [2, 0, 0, 1, 2]
 
 
 def test_what_nobody_needs_goes_around_in_the_same_order():
     rate = np.array([[5, 4, 3, 2, 1], [1, 2, 3, 4, 5]], np.float32)
     owner = np.zeros(5, np.uint32)
-    allocate_by_urgency(rate, np.array([0.0, 1.0]), np.zeros(2), allocation_scratch(2, 5), owner)
+    allocate_by_urgency(rate, np.array([0.0, 1.0]), allocation_scratch(2, 5), owner)
     # User 1 first: PRB 4; user 0: PRB 0; then 1: PRB 3, 0: PRB 1, 1: PRB 2.
     assert owner.tolist() == [0, 0, 1, 1, 1]
 

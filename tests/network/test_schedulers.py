@@ -6,7 +6,12 @@ import math
 
 import numpy as np
 
-from hiersched.network.schedulers import CLASSICAL, SchedulerConstants, index_weights
+from hiersched.network.schedulers import (
+    CLASSICAL,
+    SchedulerConstants,
+    index_weights,
+    need_codes,
+)
 
 # User 0 has the better channel, user 1 its best on PRB 1.
 RATE = [[9, 8, 7], [1, 3, 2.5]]
@@ -17,7 +22,9 @@ def weights(name, *, backlog=1.0, hol=0.0, average=10.0, deadline=0.02, late=0.0
     def full(value):
         return np.broadcast_to(np.asarray(value, np.float64), (num_users,)).copy()
 
-    rules = SchedulerConstants(full(deadline), full(late), num_urllc, 1.1, 5.0)
+    rules = SchedulerConstants(
+        full(deadline), full(late), num_urllc, 1.1, 5.0, need_codes({}), 0.01
+    )
     out = np.zeros(num_users)
     index_weights(CLASSICAL[name], full(backlog), full(hol), full(average), rules, out)
     return out
@@ -174,3 +181,43 @@ def test_drift_plus_penalty(schedule):
     assert schedule(
         "drift_plus_penalty", RATE, penalty_weight=1.0, weight=[1.0, 10.0], **given
     ) == [0, 1, 1]
+
+
+def test_no_user_is_given_more_than_it_needs(schedule):
+    """Queues of 4 and 20 packets, 1 a Mbit/s: 4 · [9 8 7] and 20 · [1 3 2.5] without a cap.
+
+    One each: user 1 takes its best, PRB 1; user 0 has all it needs with PRB 0. PRB 2 is worth
+    28 to user 0 without a cap against 50; with it 0 against 50. Queues of 40 and 3: 40 · 7 against
+    3 · 2.5 without a cap, and nobody else needs it with one of 9: user 1 has its 3 with PRB 1.
+    """
+    rate = [[9, 8, 7], [1, 3, 2.5]]
+    assert schedule("max_weight", rate, backlog_packets=[4.0, 20.0]) == [0, 1, 1]
+    for need, winner in (("none", 0), ("backlog", 1)):
+        # 9 packets are served by PRB 0; a service offset of 1 Mbit/s asks for 10 and takes PRB 2.
+        given = {"backlog_packets": [9.0, 4.0], "need": need}
+        assert schedule("max_weight", rate, **given) == [0, 1, winner]
+        assert schedule("max_weight", rate, service_offset_mbps=1.0, **given) == [0, 1, 0]
+
+
+def test_what_nobody_needs_goes_by_pf(schedule):
+    """Empty queues: what plain PF does, whatever the rule; 5.5 / 3 is more than 16 / 9 (PRB 2)."""
+    for name in ("max_weight", "m_lwdf", "exp_pf", "log_rule"):
+        assert schedule(name, RATE, backlog_packets=0.0, need="backlog") == [0, 1, 1]
+        assert schedule("pf", RATE) == [0, 1, 1]
+
+
+def test_arrivals_count_as_need_at_the_last_rate(schedule):
+    """Mean arrivals (12 − 0.5 · 4) · 0.1 = 1 packet a user: both are equal, user 0's 9 wins.
+
+    At a last rate of 24 there are none, and PRBs go by PF: PRB 2 to user 1.
+    """
+    given = {
+        "backlog_packets": 0.0,
+        "offered_mbps": 12.0,
+        "rate_sensitivity": 0.5,
+        "arrival_packets_per_mbps": 0.1,
+        "service_packets_per_mbps": 0.05,  # 1 packet takes 20 Mbit/s
+        "need": "backlog_and_arrivals",
+    }
+    assert schedule("max_weight", RATE, last_rate_mbps=4.0, **given) == [0, 1, 0]
+    assert schedule("max_weight", RATE, last_rate_mbps=24.0, **given) == [0, 1, 1]

@@ -73,7 +73,8 @@ def max_weight_shares(
     """PRBs under weighted MaxWeight: one each, the others as a soft maximum shares them.
 
     MaxWeight gives a PRB to the largest w q r. Fading makes that a matter of chance; here the
-    chances are (w q r)^s over their sum, with s = MAX_WEIGHT_SHARPNESS and r the mean rate.
+    chances are (w q r)^s over their sum, with s = MAX_WEIGHT_SHARPNESS and r the mean rate. The cap
+    of the scheduler at what a user needs is left out, so the gradient overrates PRBs beyond it.
 
     Parameters
     ----------

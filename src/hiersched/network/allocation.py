@@ -30,6 +30,10 @@ from hiersched.numerics import F32, from_ordered_f32, ln_f32, ordered_f32, order
 UTILITY_LOG = 0
 UTILITY_LINEAR = 1
 UTILITY_LAGRANGIAN = 2
+UTILITY_CAPPED = 3
+
+TIE_SHARE = 2.0**-20
+"""Of the greatest worth of a slot: first PRBs whose worths w min(r, need) differ by less go by PF."""
 
 _USER_LANES = 8
 
@@ -40,6 +44,8 @@ class AllocationScratch(NamedTuple):
     assignment: AssignmentScratch
     worth: NDArray[np.float32]  # (U K + K',)
     user_rate: NDArray[np.float64]  # (U,)
+    need: NDArray[np.float64]  # (U,) rate that a user can use of this slot, Mbit/s
+    ones: NDArray[np.float64]  # (U,) weights of plain PF
     share: NDArray[np.float32]  # (U',)
     free_prb: NDArray[np.int64]  # (K,)
     order: NDArray[np.int64]  # (U,)
@@ -62,6 +68,8 @@ def allocation_scratch(num_users: int, num_prb: int) -> AllocationScratch:
         assignment=assignment,
         worth=np.zeros(num_users * num_prb + assignment.cost.shape[1], np.float32),
         user_rate=np.zeros(num_users),
+        need=np.zeros(num_users),
+        ones=np.ones(num_users),
         share=np.zeros(lanes, np.float32),
         free_prb=np.zeros(num_prb, np.int64),
         order=np.zeros(num_users, np.int64),
@@ -122,6 +130,37 @@ def _lagrangian_costs(
         scratch.nearest[user] = index_of(key)
 
 
+@kernel()
+def _capped_costs(
+    rate: NDArray[np.float32], weight: NDArray[np.float64], scratch: AllocationScratch
+) -> None:
+    """Costs of w min(r, need), brought to 0 and above; between equal worths the rate decides.
+
+    A user whose need any PRB meets is indifferent. So that such ties go by PF, as the free PRBs do,
+    log r comes on top, scaled to a share of the slot's greatest worth: weights may be of any size.
+    """
+    cost = scratch.assignment.cost
+    num_users, num_prb = rate.shape
+    greatest = 0.0
+    for user in range(num_users):
+        for k in range(num_prb):
+            worth = weight[user] * min(np.float64(rate[user, k]), scratch.need[user])
+            cost[user, k] = -worth
+            greatest = max(greatest, worth)
+    tie = TIE_SHARE * greatest if greatest > 0.0 else 1.0
+    least = FAR
+    for user in range(num_users):
+        for k in range(num_prb):
+            cost[user, k] -= tie * np.float64(ln_f32(rate[user, k]))
+            least = min(least, cost[user, k])
+    for user in range(num_users):
+        key = LARGEST_KEY
+        for k in range(num_prb):
+            cost[user, k] -= least
+            key = least_key(key, cost[user, k], k)
+        scratch.assignment.nearest[user] = index_of(key)
+
+
 @kernel(forceinline=True)
 def _first_costs(
     utility: int,
@@ -138,6 +177,9 @@ def _first_costs(
     num_users, num_prb = rate.shape
     flat = rate.reshape(-1)
     worth = scratch.worth[: flat.shape[0]]
+    if utility == UTILITY_CAPPED:
+        _capped_costs(rate, weight, scratch)
+        return
     if utility == UTILITY_LOG:
         # One flat loop: rows are too short for full vectors.
         for i in range(flat.shape[0]):
@@ -164,6 +206,7 @@ def _marginal(
     rate: np.float32,
     have: float,
     weight: float,
+    need: float,
     terms: UserTerms,
 ) -> float:
     """Gain in a user's utility by one more PRB of the given rate."""
@@ -171,6 +214,8 @@ def _marginal(
         return _log_gain(rate, have, weight)
     if utility == UTILITY_LINEAR:
         return weight * np.float64(rate)
+    if utility == UTILITY_CAPPED:
+        return weight * max(0.0, min(np.float64(rate), need - have))
     after = user_lagrangian(terms, user, have + np.float64(rate))
     return weight * (user_lagrangian(terms, user, have) - after)
 
@@ -222,7 +267,13 @@ def _first_gains(
             k = scratch.free_prb[i]
             for user in range(num_users):
                 gain[i, user] = _marginal(
-                    utility, user, rate[user, k], have[user], weight[user], terms
+                    utility,
+                    user,
+                    rate[user, k],
+                    have[user],
+                    weight[user],
+                    scratch.need[user],
+                    terms,
                 )
     for i in range(num_free):
         for lane in range(num_users, lanes):
@@ -239,8 +290,11 @@ def _give_out(
     scratch: AllocationScratch,
     num_free: int,
     owner: NDArray[np.uint32],
-) -> None:
-    """Give out the free PRBs one by one where the utility rises most."""
+) -> int:
+    """Give out the free PRBs one by one where the utility rises most.
+
+    Returns how many are left: those that nobody needs, the first of `free_prb`.
+    """
     have = scratch.user_rate
     gain = scratch.gain
     best = scratch.best
@@ -248,9 +302,16 @@ def _give_out(
     for left in range(num_free - 1, -1, -1):
         place = 0
         for i in range(1, left + 1):
-            if gain[i, best[i]] > gain[place, best[place]]:
+            here, there = gain[i, best[i]], gain[place, best[place]]
+            if here > there:
                 place = i
+            elif utility == UTILITY_CAPPED and here == there:
+                # What is left of a need fits into any of several PRBs: the one of most rate.
+                if rate[best[i], free_prb[i]] > rate[best[place], free_prb[place]]:
+                    place = i
         user = best[place]
+        if utility == UTILITY_CAPPED and gain[place, user] <= 0.0:
+            return left + 1
         k = free_prb[place]
         owner[k] = user
         have[user] += np.float64(rate[user, k])
@@ -261,13 +322,21 @@ def _give_out(
             for other in range(gain.shape[1]):
                 gain[place, other] = gain[left, other]
         for i in range(left):
-            if utility == UTILITY_LAGRANGIAN:
+            if utility == UTILITY_LAGRANGIAN or utility == UTILITY_CAPPED:
+                k = free_prb[i]
                 gain[i, user] = _marginal(
-                    utility, user, rate[user, free_prb[i]], have[user], weight[user], terms
+                    utility,
+                    user,
+                    rate[user, k],
+                    have[user],
+                    weight[user],
+                    scratch.need[user],
+                    terms,
                 )
                 best[i] = _greatest(gain[i])
             elif utility == UTILITY_LOG and best[i] == user:
                 best[i] = _still_greatest(gain[i], user, free_prb[i], rate, have, weight)
+    return 0
 
 
 @kernel(forceinline=True)
@@ -306,8 +375,10 @@ def allocate_by_utility(
     Parameters
     ----------
     utility
-        UTILITY_LOG (w log R: PF when all w are equal), UTILITY_LINEAR (w R) or UTILITY_LAGRANGIAN
-        (minus w times the user's drift-plus-penalty Lagrangian of `terms`).
+        UTILITY_LOG (w log R: PF when all w are equal), UTILITY_LINEAR (w R), UTILITY_LAGRANGIAN
+        (minus w times the user's drift-plus-penalty Lagrangian of `terms`) or UTILITY_CAPPED (w
+        min(R, need), with needs in `scratch.need`; PRBs that nobody needs go by PF, without
+        weights).
     rate
         Rate of each user on each PRB, shape (U, K), Mbit/s.
     weight
@@ -332,4 +403,7 @@ def allocate_by_utility(
         scratch.free_prb[num_free] = k
         num_free += 1 if first_owner < 0 else 0
     _first_gains(utility, rate, weight, terms, scratch, num_free)
-    _give_out(utility, rate, weight, terms, scratch, num_free, owner)
+    left = _give_out(utility, rate, weight, terms, scratch, num_free, owner)
+    if left > 0:
+        _first_gains(UTILITY_LOG, rate, scratch.ones, terms, scratch, left)
+        _give_out(UTILITY_LOG, rate, scratch.ones, terms, scratch, left, owner)

@@ -13,7 +13,6 @@ from hiersched.network.allocation import AllocationScratch
 def allocate_by_urgency(
     rate: NDArray[np.float32],
     urgency: NDArray[np.float64],
-    need_mbps: NDArray[np.float64],
     scratch: AllocationScratch,
     owner: NDArray[np.uint32],
 ) -> None:
@@ -25,11 +24,9 @@ def allocate_by_urgency(
         Rate of each user on each PRB, shape (U, K), Mbit/s.
     urgency
         Shape (U,); equal urgencies are served in the order of the users.
-    need_mbps
-        Rate that would empty the user's queue in this slot, shape (U,). PRBs that nobody needs are
-        given out one by one in the same order.
     scratch
-        From `allocation_scratch`.
+        From `allocation_scratch`, with `need`: the rate that would empty the user's queue in this
+        slot. PRBs that nobody needs are given out one by one in the same order.
     owner
         Result: user of each PRB, shape (K,).
     """
@@ -49,7 +46,7 @@ def allocate_by_urgency(
         left -= _take_best(order[place], rate, scratch, owner)
     for place in range(num_users):
         user = order[place]
-        while left > 0 and scratch.user_rate[user] < need_mbps[user]:
+        while left > 0 and scratch.user_rate[user] < scratch.need[user]:
             left -= _take_best(user, rate, scratch, owner)
     place = 0
     while left > 0:

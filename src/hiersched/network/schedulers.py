@@ -4,11 +4,22 @@ Every rule reads what a base station knows at the start of a slot: backlog, head
 moving average rate and the channel, never the slot's arrivals. Sources: Kelly 1998 (pf), Jalali et
 al. 2000 (pf_average), Tassiulas and Ephremides 1992 (max_weight), Andrews et al. 2001 (m_lwdf),
 Rhee et al. 2003 (exp_pf), Sadiq et al. 2009 (log_rule), Neely 2010 (drift_plus_penalty).
+
+MaxWeight, M-LWDF, EXP/PF and LOG maximise the sum of w min(r, need): a user can use no more of a
+slot than its queue holds, and without the cap a rule that gives out many PRBs a slot goes on
+feeding queues that are empty already (Andrews and Zhang, IEEE/ACM Trans. Networking 19(2), 2011).
+
+EXP/PF is the form of Capozzi et al. (IEEE Communications Surveys and Tutorials 15(2), 2013): its
+eMBB users have the weight 1 / R. Rhee et al. multiply that by an adaptive w(t) / M(t), M the mean
+number of waiting real-time packets, and w lowered by a step while a real-time packet waits too
+long, raised by a fraction of it otherwise; its constants are not published for a cell like this
+one. LOG is that of the same survey: natural logarithm, c = 1.1, a = 5 / deadline, factor 1 / R.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -16,14 +27,16 @@ from numpy.typing import NDArray
 
 from hiersched.compiled import kernel
 from hiersched.network.allocation import (
+    UTILITY_CAPPED,
     UTILITY_LAGRANGIAN,
     UTILITY_LINEAR,
     UTILITY_LOG,
     AllocationScratch,
     allocate_by_utility,
+    allocation_scratch,
 )
 from hiersched.network.in_order import allocate_by_urgency, allocate_in_turn
-from hiersched.network.lyapunov import UserTerms
+from hiersched.network.lyapunov import UserTerms, mean_arrivals
 
 WEIGHTED_PF = 0
 PF_AVERAGE = 1
@@ -51,19 +64,60 @@ CLASSICAL = {
 """Code of every classical scheduler by its name; `pf` is the weighted PF with weights 1."""
 
 
-_UTILITY_OF = np.full(len(CLASSICAL), UTILITY_LINEAR)
-_UTILITY_OF[WEIGHTED_PF] = UTILITY_LOG
-_UTILITY_OF[DRIFT_PLUS_PENALTY] = UTILITY_LAGRANGIAN
+NEED_NONE = 0
+NEED_BACKLOG = 1
+NEED_BACKLOG_AND_ARRIVALS = 2
+
+NEEDS = {
+    "none": NEED_NONE,
+    "backlog": NEED_BACKLOG,
+    "backlog_and_arrivals": NEED_BACKLOG_AND_ARRIVALS,
+}
+"""Code of what caps the rates of the rules `CAPPED`, by its name in a scenario."""
+
+CAPPED = ("max_weight", "m_lwdf", "exp_pf", "log_rule")
+"""Rules that maximise a sum of weighted rates of which a user can use only so much."""
+
+# Utility by need and scheduler.
+_UTILITY_OF = np.full((len(NEEDS), len(CLASSICAL)), UTILITY_LINEAR)
+_UTILITY_OF[:, WEIGHTED_PF] = UTILITY_LOG
+_UTILITY_OF[:, DRIFT_PLUS_PENALTY] = UTILITY_LAGRANGIAN
+_UTILITY_OF[NEED_BACKLOG:, [CLASSICAL[name] for name in CAPPED]] = UTILITY_CAPPED
 
 
 class SchedulerConstants(NamedTuple):
-    """Deadline in s and admitted late share of each user (U,), and the log rule's c and a D."""
+    """What the rules know of users and slots.
+
+    Deadline in s and admitted late share of each user (U,), the log rule's c and a D, one of
+    `NEEDS` for each code in `CLASSICAL`, and the length of a slot in s.
+    """
 
     deadline_s: NDArray[np.float64]
     late_share: NDArray[np.float64]
     num_urllc: int
     log_rule_offset: float
     log_rule_gain: float
+    need: NDArray[np.int64]
+    slot_s: float
+
+
+class SchedulerScratch(NamedTuple):
+    """Work arrays of one scheduled slot."""
+
+    weight: NDArray[np.float64]  # (U,)
+    expected_packets: NDArray[np.float64]  # (U,)
+    wait_s: NDArray[np.float64]  # (U,)
+    allocation: AllocationScratch
+
+
+def scheduler_scratch(num_users: int, num_prb: int) -> SchedulerScratch:
+    """Work arrays for `num_users` users and `num_prb` PRBs; errors as `allocation_scratch`."""
+    return SchedulerScratch(
+        weight=np.zeros(num_users),
+        expected_packets=np.zeros(num_users),
+        wait_s=np.zeros(num_users),
+        allocation=allocation_scratch(num_users, num_prb),
+    )
 
 
 @kernel()
@@ -124,6 +178,40 @@ def _exp_pf_weights(
         weight[user] = math.exp(exponent - largest) / average_rate_mbps[user]
 
 
+def need_codes(by_rule: Mapping[str, str]) -> NDArray[np.int64]:
+    """Codes of `NEEDS` by scheduler, from names of needs by names of rules; none for others."""
+    codes = np.full(len(CLASSICAL), NEED_NONE)
+    for name, need in by_rule.items():
+        codes[CLASSICAL[name]] = NEEDS[need]
+    return codes
+
+
+@kernel()
+def needs(
+    terms: UserTerms, expected_packets: NDArray[np.float64], need_mbps: NDArray[np.float64]
+) -> None:
+    """Rate that serves the expected packets in this slot, 0 for none, in place, shape (U,)."""
+    for user in range(need_mbps.shape[0]):
+        packets = expected_packets[user]
+        need_mbps[user] = packets / terms.service_packets_per_mbps
+        if packets > 0.0:
+            need_mbps[user] += terms.service_offset_mbps[user]
+
+
+@kernel()
+def _expect(
+    terms: UserTerms, last_rate_mbps: NDArray[np.float64], expected_packets: NDArray[np.float64]
+) -> None:
+    """Backlog and mean arrivals at the last slot's rate, in place, shape (U,)."""
+    for user in range(expected_packets.shape[0]):
+        expected_packets[user] = terms.backlog_packets[user] + mean_arrivals(
+            last_rate_mbps[user],
+            terms.offered_mbps[user],
+            terms.rate_sensitivity[user],
+            terms.arrival_packets_per_mbps[user],
+        )
+
+
 @kernel(forceinline=True)
 def schedule_slot(
     scheduler: int,
@@ -132,10 +220,10 @@ def schedule_slot(
     given_weight: NDArray[np.float64],
     hol_delay_s: NDArray[np.float64],
     average_rate_mbps: NDArray[np.float64],
+    last_rate_mbps: NDArray[np.float64],
     terms: UserTerms,
     constants: SchedulerConstants,
-    weight: NDArray[np.float64],
-    scratch: AllocationScratch,
+    scratch: SchedulerScratch,
     owner: NDArray[np.uint32],
 ) -> None:
     """Allocate one slot by one scheduler.
@@ -151,38 +239,61 @@ def schedule_slot(
     given_weight
         Factors of the users' utilities, shape (U,), 1 for the plain rule; not for round robin and
         EDF, which have no utility.
-    hol_delay_s, average_rate_mbps
-        Shape (U,).
+    hol_delay_s, average_rate_mbps, last_rate_mbps
+        Shape (U,); the last is that of the slot before.
     terms, constants
         Lagrangian and rule constants; `terms.backlog_packets` is the backlog.
-    weight
-        Scratch, shape (U,).
     scratch
-        From `allocation_scratch`.
+        From `scheduler_scratch`.
     owner
         Result: user of each PRB, shape (K,).
     """
+    weight, allocation = scratch.weight, scratch.allocation
     if scheduler == ROUND_ROBIN:
         allocate_in_turn(slot, rate.shape[0], rate.shape[1], owner)
     elif scheduler == EDF:
-        need = scratch.assignment.row_price
         for user in range(rate.shape[0]):
             weight[user] = hol_delay_s[user] - constants.deadline_s[user]
-            backlog = terms.backlog_packets[user]
-            need[user] = backlog / terms.service_packets_per_mbps
-            if backlog > 0.0:
-                need[user] += terms.service_offset_mbps[user]
-        allocate_by_urgency(rate, weight, need, scratch, owner)
+        needs(terms, terms.backlog_packets, allocation.need)
+        allocate_by_urgency(rate, weight, allocation, owner)
     else:
         if scheduler == WEIGHTED_PF or scheduler == DRIFT_PLUS_PENALTY:
             for user in range(rate.shape[0]):
                 weight[user] = given_weight[user]
         else:
-            index_weights(
-                scheduler, terms.backlog_packets, hol_delay_s, average_rate_mbps, constants, weight
+            _index_rule(
+                scheduler, hol_delay_s, average_rate_mbps, last_rate_mbps, terms, constants, scratch
             )
             for user in range(rate.shape[0]):
                 weight[user] *= given_weight[user]
         # Looked up, not branched on: the compiler would otherwise build the allocator once for each
         # constant.
-        allocate_by_utility(_UTILITY_OF[scheduler], rate, weight, terms, scratch, owner)
+        utility = _UTILITY_OF[constants.need[scheduler], scheduler]
+        allocate_by_utility(utility, rate, weight, terms, allocation, owner)
+
+
+@kernel()
+def _index_rule(
+    scheduler: int,
+    hol_delay_s: NDArray[np.float64],
+    average_rate_mbps: NDArray[np.float64],
+    last_rate_mbps: NDArray[np.float64],
+    terms: UserTerms,
+    constants: SchedulerConstants,
+    scratch: SchedulerScratch,
+) -> None:
+    """Weights of a rule that maximises a sum of weighted rates, and the needs that cap them.
+
+    With mean arrivals in the need, the rule weighs what a queue will hold and how old its first
+    packet will be by the end of the slot.
+    """
+    expected, wait = scratch.expected_packets, scratch.wait_s
+    for user in range(expected.shape[0]):
+        expected[user] = terms.backlog_packets[user]
+        wait[user] = hol_delay_s[user]
+    if constants.need[scheduler] == NEED_BACKLOG_AND_ARRIVALS:
+        _expect(terms, last_rate_mbps, expected)
+        for user in range(expected.shape[0]):
+            wait[user] += constants.slot_s
+    needs(terms, expected, scratch.allocation.need)
+    index_weights(scheduler, expected, wait, average_rate_mbps, constants, scratch.weight)

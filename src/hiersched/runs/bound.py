@@ -13,10 +13,15 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from hiersched.log import LogError
-from hiersched.network.allocation import AllocationScratch, allocation_scratch
 from hiersched.network.exact import exact_allocation, lagrangian, owned_rates
 from hiersched.network.lyapunov import UserTerms
-from hiersched.network.schedulers import CLASSICAL, DRIFT_PLUS_PENALTY, schedule_slot
+from hiersched.network.schedulers import (
+    CLASSICAL,
+    DRIFT_PLUS_PENALTY,
+    SchedulerScratch,
+    schedule_slot,
+    scheduler_scratch,
+)
 from hiersched.radio.channel import prb_rates
 from hiersched.runs import paths
 from hiersched.runs.exact import slot_terms
@@ -52,6 +57,7 @@ class Moment(NamedTuple):
     rate_mbps: NDArray[np.float32]
     hol_delay_s: NDArray[np.float64]
     average_rate_mbps: NDArray[np.float64]
+    last_rate_mbps: NDArray[np.float64]
     terms: UserTerms
     prb_owner: NDArray[np.uint32]
 
@@ -127,7 +133,8 @@ def read_moments(path: Path, world: Simulator, count: int) -> Iterator[Moment]:
             fields["multiplier"][slot],
         )
         hol, average = fields["hol_delay_s"][slot], fields["average_rate_mbps"][slot]
-        yield Moment(slot, rate, np.array(hol), np.array(average), terms, owner)
+        last = fields["rate_mbps"][slot - 1] if slot else np.zeros(len(hol))
+        yield Moment(slot, rate, np.array(hol), np.array(average), np.array(last), terms, owner)
 
 
 def greedy_assignment(cost: NDArray[np.float64]) -> float:
@@ -154,7 +161,7 @@ def _rows(
     """Rows of one slot: the policy itself, the greedy rule, and others in states of reference."""
     terms = moment.terms
     best = exact_allocation(moment.rate_mbps, terms, time_limit_s=TIME_LIMIT_S)
-    scratch = allocation_scratch(*moment.rate_mbps.shape)
+    scratch = scheduler_scratch(*moment.rate_mbps.shape)
     deciders = {labels["policy"]: moment.prb_owner}
     asked = CLASSICAL if labels["policy"] == REFERENCE else {REFERENCE: DRIFT_PLUS_PENALTY}
     for name, code in asked.items():
@@ -173,7 +180,7 @@ def _rows(
 
 
 def _decide(
-    code: int, moment: Moment, constants: SlotConstants, scratch: AllocationScratch
+    code: int, moment: Moment, constants: SlotConstants, scratch: SchedulerScratch
 ) -> NDArray[np.uint32]:
     """Return what a classical scheduler decides in a slot."""
     num_users, num_prb = moment.rate_mbps.shape
@@ -185,9 +192,9 @@ def _decide(
         np.ones(num_users),
         moment.hol_delay_s,
         moment.average_rate_mbps,
+        moment.last_rate_mbps,
         moment.terms,
         constants.rules,
-        np.zeros(num_users),
         scratch,
         owner,
     )

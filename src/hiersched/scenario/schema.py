@@ -30,6 +30,7 @@ SchedulerName = Literal[
     "drift_plus_penalty",
     "exact",
 ]
+Need = Literal["none", "backlog", "backlog_and_arrivals"]
 LearnerName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
 PolicyName = LearnerName
 """A scheduler or a learner; `consistency` knows which there are."""
@@ -106,6 +107,10 @@ class Schedulers:
     average_window_slots: Annotated[float, Field(ge=1)]
     log_rule_offset: Annotated[float, Field(ge=1)]
     log_rule_gain: Positive
+    max_weight_need: Need
+    m_lwdf_need: Need
+    exp_pf_need: Need
+    log_rule_need: Need
 
 
 @dataclass(frozen=True, kw_only=True)

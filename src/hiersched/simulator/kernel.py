@@ -127,10 +127,10 @@ def run_slots(
                     weights[env],
                     state.hol_delay_s[env],
                     state.average_rate_mbps[env],
+                    state.rate_mbps[env],
                     scratch.terms,
                     constants.rules,
-                    scratch.weight,
-                    scratch.allocation,
+                    scratch.scheduler,
                     record.prb_owner,
                 )
             prefetch_third(row, 2)

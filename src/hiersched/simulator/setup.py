@@ -9,10 +9,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.network.allocation import AllocationScratch, allocation_scratch
 from hiersched.network.lyapunov import UserTerms
 from hiersched.network.queues import LANES, NUM_QUEUE_LANES, set_deadline
-from hiersched.network.schedulers import SchedulerConstants
+from hiersched.network.schedulers import (
+    CAPPED,
+    SchedulerConstants,
+    SchedulerScratch,
+    need_codes,
+    scheduler_scratch,
+)
 from hiersched.network.traffic import MAX_MEAN, NUM_ARRIVAL_LANES
 from hiersched.radio.channel import large_scale_gain, snr_per_fading_power
 from hiersched.randomness import NormalScratch, normal_scratch
@@ -82,12 +87,11 @@ class SlotScratch(NamedTuple):
 
     words: NDArray[np.uint32]
     normals: NormalScratch
-    weight: NDArray[np.float64]
+    scheduler: SchedulerScratch
     users: NDArray[np.float64]  # (blocks, fields of LANES users)
     arrivals: NDArray[np.float64]  # likewise
     queues: NDArray[np.float64]  # likewise
     terms: UserTerms
-    allocation: AllocationScratch
     path: NDArray[np.float64]
     linear_normals: NDArray[np.float32]  # of all linear plants, in rows of 5
     slot: SlotFields
@@ -149,6 +153,8 @@ def slot_constants(scenario: Scenario, gains: Gains, num_slots: int) -> SlotCons
         num_urllc=num_urllc,
         log_rule_offset=scenario.schedulers.log_rule_offset,
         log_rule_gain=scenario.schedulers.log_rule_gain,
+        need=need_codes({name: getattr(scenario.schedulers, f"{name}_need") for name in CAPPED}),
+        slot_s=radio.slot_s,
     )
     return SlotConstants(
         num_urllc=num_urllc,
@@ -278,12 +284,11 @@ def slot_scratch(constants: SlotConstants, robot_sizes: tuple[int, int, int]) ->
     return SlotScratch(
         words=np.zeros((4, (num_users * num_prb + 3) // 4), np.uint32),
         normals=normal_scratch(normal_rows),
-        weight=np.zeros(num_users),
+        scheduler=scheduler_scratch(num_users, num_prb),
         users=_user_lanes(constants),
         arrivals=np.zeros((blocks, NUM_ARRIVAL_LANES)),
         queues=_queue_lanes(constants),
         terms=user_terms(constants),
-        allocation=allocation_scratch(num_users, num_prb),
         path=path_scratch(constants.robots.steps_per_slot),
         linear_normals=np.zeros((normal_rows if constants.is_linear else 0, 5), np.float32),
         slot=slot,
