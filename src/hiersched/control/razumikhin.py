@@ -5,19 +5,25 @@ The closed loop is x(k+1) = A_c x(k) + A_d x(k-d(k)), 0 <= d(k) <= T, with V = x
 C1: V(k+1) <= (1-a-tau g) V(k) + tau V(k-d) with g = (1-a)^-T proves stability under every
 delay, and the decay 1-a of V for delays up to T. (g = 1 + a T, its first-order truncation,
 proves stability but not that rate.) C2 bounds x(k) - x(k-d) instead and depends on T.
+
+Neither analysis needs a solver of matrix inequalities: `WeightedMap` says exactly for which
+weights a P exists, and a search over the weights finds the best ones.
 """
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable, Sequence
 
-import cvxpy as cp
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import minimize_scalar
 
 from hiersched.control.certificate import DelayRazumikhinWitness, RazumikhinWitness
 from hiersched.control.checks import FloatArray, as_delay_steps, as_square, spectral_radius
-from hiersched.control.lmi import balance, line_search, solve, symmetrised
+from hiersched.control.lmi import balance, symmetrised
+
+REACH = 12.0
+"""The searches go over shares from 2^-REACH to 1 - 2^-REACH."""
 
 
 def razumikhin_gamma(decay_rate: float, delay_steps: int) -> float:
@@ -45,41 +51,75 @@ def razumikhin_gamma(decay_rate: float, delay_steps: int) -> float:
     return float((1.0 - decay_rate) ** -as_delay_steps("delay_steps", delay_steps))
 
 
-class LargestMargin:
-    """Search P of largest margin t: diag(weights x P) - F^T P F >= t I, P >= 0, trace P = n.
+class WeightedMap:
+    """The map Q -> sum_i F_i Q F_i^T / w_i of symmetric matrices, which decides on a P.
 
-    The fixed trace keeps t informative where it is negative: it guides the scans.
+    With F = [F_1, ..., F_k] and Q = P^-1, the Schur complement turns the condition
+
+        diag(w_1 P, ..., w_k P) - F^T P F > 0        (k n x k n)
+
+    into Q > sum_i F_i Q F_i^T / w_i (n x n). The map keeps positive matrices positive, so there
+    is such a P if and only if its spectral radius is below 1. This radius is a limit of sums of
+    products of the 1/w_i with positive factors: its logarithm is convex in the weights, so that
+    searches over them meet one valley only.
 
     Parameters
     ----------
-    F : ndarray, shape (n, k n)
-        The blocks by which V(k+1) is formed from k states, in well scaled coordinates.
+    blocks : sequence of ndarray, shape (n, n) each
+        F_1, ..., F_k.
     """
 
-    def __init__(self, F: FloatArray) -> None:
-        n = F.shape[0]
-        blocks = F.shape[1] // n
-        self._P = cp.Variable((n, n), symmetric=True)
-        self._margin = cp.Variable()
-        self._weights = [cp.Parameter(nonneg=True) for _ in range(blocks)]
-        selectors = np.split(np.eye(blocks * n), blocks)
-        decrease = -F.T @ self._P @ F
-        for weight, selector in zip(self._weights, selectors, strict=True):
-            decrease = decrease + weight * (selector.T @ self._P @ selector)
-        constraints = [
-            (decrease + decrease.T) / 2 >> self._margin * np.eye(blocks * n),
-            self._P >> 0,
-            cp.trace(self._P) == n,
-        ]
-        self._problem = cp.Problem(cp.Maximize(self._margin), constraints)
+    def __init__(self, blocks: Sequence[FloatArray]) -> None:
+        n = blocks[0].shape[0]
+        rows, columns = np.triu_indices(n)
+        entries = np.arange(rows.size)
+        # Symmetric matrices have n (n + 1) / 2 coordinates, their upper triangle.
+        self._basis = np.zeros((rows.size, n, n))
+        self._basis[entries, rows, columns] = self._basis[entries, columns, rows] = 1.0
+        self._identity = np.eye(n)[rows, columns]
+        self._maps = [(F @ self._basis @ F.T)[:, rows, columns].T for F in blocks]
 
-    def solve(self, *weights: float) -> tuple[float, FloatArray] | None:
-        """Return (margin, P) for these weights, or None if the solver gave up."""
-        for parameter, weight in zip(self._weights, weights, strict=True):
-            parameter.value = weight
-        if not solve(self._problem) or self._margin.value is None:
-            return None
-        return float(self._margin.value), np.asarray(self._P.value)
+    def radius(self, *weights: float) -> float:
+        """Return the spectral radius of the map; below 1, there is a P for these weights."""
+        return spectral_radius(self._map(weights))
+
+    def solve(self, *weights: float) -> FloatArray:
+        """Return the P whose inverse is Q = I + sum_i F_i Q F_i^T / w_i; the radius is below 1."""
+        matrix = np.eye(self._identity.size) - self._map(weights)
+        Q = np.tensordot(np.linalg.solve(matrix, self._identity), self._basis, axes=1)
+        return symmetrised(np.linalg.inv(Q))
+
+    def _map(self, weights: Sequence[float]) -> FloatArray:
+        total = np.zeros_like(self._maps[0])
+        for own, weight in zip(self._maps, weights, strict=True):
+            total += own / weight
+        return total
+
+
+def least(cost: Callable[[float], float]) -> tuple[float, float]:
+    """Minimise a function of one valley over the shares (0, 1).
+
+    Parameters
+    ----------
+    cost : callable
+        Function of the share.
+
+    Returns
+    -------
+    cost, share : float
+        The least cost found and where; shares are compared as log2(share / (1 - share)), to 1e-5.
+    """
+    found = minimize_scalar(
+        lambda position: cost(_share(position)),
+        bounds=(-REACH, REACH),
+        method="bounded",
+        options={"xatol": 1e-5},
+    )
+    return float(found.fun), _share(float(found.x))
+
+
+def _share(position: float) -> float:
+    return float(1.0 / (1.0 + 2.0**-position))
 
 
 def analyse_razumikhin(
@@ -92,8 +132,8 @@ def analyse_razumikhin(
         diag((1 - a - tau g) P, tau P) - [A_c, A_d]^T P [A_c, A_d] > 0.
 
     Then V decays by 1 - a a sample for delays up to T, and the loop is stable under any delay.
-    Linear in P for each tau: Clarabel solves one compiled problem along a scan of tau in
-    (0, (1 - a - rho(A_c)^2) / g).
+    Exact for each tau (`WeightedMap`); tau is searched in (0, (1 - a - rho(A_c)^2) / g), outside
+    of which there is no P.
 
     Parameters
     ----------
@@ -107,8 +147,8 @@ def analyse_razumikhin(
     Returns
     -------
     RazumikhinWitness or None
-        What was found; only `certify` says whether it holds. None if no tau gave a positive
-        margin: always so where A_c is not stable by itself, because the delay may be infinite.
+        What was found; only `certify` says whether it holds. None if no tau admits a P: always
+        so where A_c is not stable by itself, because the delay may be infinite.
 
     Raises
     ------
@@ -123,25 +163,16 @@ def analyse_razumikhin(
     if scaling is None or largest <= 0.0:
         return None
     inverse = np.linalg.inv(scaling)
-    search = LargestMargin(np.hstack([scaling @ A_c @ inverse, scaling @ A_d @ inverse]))
-    found: dict[float, tuple[float, FloatArray] | None] = {}
+    condition = WeightedMap([scaling @ A_c @ inverse, scaling @ A_d @ inverse])
 
-    def tau(position: float) -> float:
-        return float(largest / (1.0 + 2.0**-position))
+    def weights(share: float) -> tuple[float, float]:
+        return 1.0 - decay_rate - share * largest * gamma, share * largest
 
-    def cost(position: float) -> float:
-        if position not in found:
-            t = tau(position)
-            found[position] = search.solve(1.0 - decay_rate - t * gamma, t)
-        best = found[position]
-        return math.inf if best is None else -best[0]
-
-    position = line_search(cost, reach=8.0, step=2.0)
-    best = found[position]
-    if best is None or best[0] <= 0.0:
+    radius, share = least(lambda share: condition.radius(*weights(share)))
+    if radius >= 1.0:
         return None
-    P = symmetrised(scaling.T @ best[1] @ scaling)
-    return RazumikhinWitness(P=P, tau=tau(position), decay_rate=decay_rate)
+    P = symmetrised(scaling.T @ condition.solve(*weights(share)) @ scaling)
+    return RazumikhinWitness(P=P, tau=share * largest, decay_rate=decay_rate)
 
 
 def analyse_delay_razumikhin(
@@ -154,8 +185,8 @@ def analyse_delay_razumikhin(
 
         diag(p P, t1 P, t2 P) - [M, T B1, T B2]^T P [M, T B1, T B2] > 0.
 
-    Linear in P for each (p, t1, t2): Clarabel solves one compiled problem along a search over p
-    in (rho(A_c + A_d)^2, 1) and t1 / t2.
+    Exact for each (p, t1, t2) (`WeightedMap`); searched are p in (rho(A_c + A_d)^2, 1), below
+    which there is no P, and the share of t1 in the rest.
 
     Parameters
     ----------
@@ -168,7 +199,7 @@ def analyse_delay_razumikhin(
     -------
     DelayRazumikhinWitness or None
         What was found; only `certify` says whether it holds. None if A_c + A_d is unstable or no
-        weights gave a positive margin: C2 then says nothing (it is more conservative than C3).
+        weights admit a P: C2 then says nothing (it is more conservative than C3).
 
     Raises
     ------
@@ -184,29 +215,21 @@ def analyse_delay_razumikhin(
         return None
     inverse = np.linalg.inv(scaling)
     A_z, D_z = scaling @ A_c @ inverse, scaling @ A_d @ inverse
-    search = LargestMargin(np.hstack([A_z + D_z, -T * D_z @ (A_z - np.eye(n)), -T * D_z @ D_z]))
+    condition = WeightedMap([A_z + D_z, -T * D_z @ (A_z - np.eye(n)), -T * D_z @ D_z])
     slowest = spectral_radius(A_c + A_d) ** 2
-    found: dict[tuple[float, float], tuple[float, FloatArray] | None] = {}
 
     def weights(share: float, first: float) -> tuple[float, float, float]:
-        p = slowest + (1.0 - slowest) / (1.0 + 2.0**-share)
-        rest = (1.0 - 1e-9) - p
-        return p, rest / (1.0 + 2.0**-first), rest / (1.0 + 2.0**first)
+        p = slowest + (1.0 - slowest) * share
+        return p, (1.0 - p) * first, (1.0 - p) * (1.0 - first)
 
-    def cost(share: float, first: float) -> float:
-        if (share, first) not in found:
-            found[share, first] = search.solve(*weights(share, first))
-        best = found[share, first]
-        return math.inf if best is None else -best[0]
+    def best_first(share: float) -> tuple[float, float]:
+        return least(lambda first: condition.radius(*weights(share, first)))
 
-    def best_first(share: float) -> float:
-        return line_search(lambda first: cost(share, first), reach=6.0, step=2.0)
-
-    share = line_search(lambda share: cost(share, best_first(share)), reach=6.0, step=2.0)
-    first = best_first(share)
-    best = found[share, first]
-    if best is None or best[0] <= 0.0:
+    radius, share = least(lambda share: best_first(share)[0])
+    if radius >= 1.0:
         return None
-    p, t1, t2 = weights(share, first)
-    P = symmetrised(scaling.T @ best[1] @ scaling)
+    # Radius and sum of the weights trade one for one: half of the gap goes to each inequality.
+    slack = np.sqrt(radius)
+    p, t1, t2 = (float(slack * weight) for weight in weights(share, best_first(share)[1]))
+    P = symmetrised(scaling.T @ condition.solve(p, t1, t2) @ scaling)
     return DelayRazumikhinWitness(P=P, p=p, t1=t1, t2=t2)

@@ -13,10 +13,48 @@ from hiersched.control.checks import FloatArray, as_symmetric, require_definite
 from hiersched.control.lmi import STRICT, line_search, solve, symmetric_blocks, symmetrised
 from hiersched.control.methods import DEFAULT_DECAY_RATE
 from hiersched.control.plant import DelayedPlant
-from hiersched.control.razumikhin import LargestMargin, razumikhin_gamma
+from hiersched.control.razumikhin import razumikhin_gamma
 
 CENTRAL_TAU = 2.0**-5
 """Middle of the scan of tau in synthesis, which reaches 4 octaves either way (2e-3 to 0.5)."""
+
+
+class LargestMargin:
+    """Search P of largest margin t: diag(weights x P) - F^T P F >= t I, P >= 0, trace P = n.
+
+    Only for step (c), which needs room around P in every direction: whether there is a P at all
+    is what `WeightedMap` decides, since t is next to 0 beside a P that is nearly singular.
+
+    Parameters
+    ----------
+    F : ndarray, shape (n, k n)
+        The blocks by which V(k+1) is formed from k states, in well scaled coordinates.
+    """
+
+    def __init__(self, F: FloatArray) -> None:
+        n = F.shape[0]
+        blocks = F.shape[1] // n
+        self._P = cp.Variable((n, n), symmetric=True)
+        self._margin = cp.Variable()
+        self._weights = [cp.Parameter(nonneg=True) for _ in range(blocks)]
+        selectors = np.split(np.eye(blocks * n), blocks)
+        decrease = -F.T @ self._P @ F
+        for weight, selector in zip(self._weights, selectors, strict=True):
+            decrease = decrease + weight * (selector.T @ self._P @ selector)
+        constraints = [
+            (decrease + decrease.T) / 2 >> self._margin * np.eye(blocks * n),
+            self._P >> 0,
+            cp.trace(self._P) == n,
+        ]
+        self._problem = cp.Problem(cp.Maximize(self._margin), constraints)
+
+    def solve(self, *weights: float) -> tuple[float, FloatArray] | None:
+        """Return (margin, P) for these weights, or None if the solver gave up."""
+        for parameter, weight in zip(self._weights, weights, strict=True):
+            parameter.value = weight
+        if not solve(self._problem) or self._margin.value is None:
+            return None
+        return float(self._margin.value), np.asarray(self._P.value)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

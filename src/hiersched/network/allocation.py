@@ -33,7 +33,7 @@ UTILITY_LAGRANGIAN = 2
 UTILITY_CAPPED = 3
 
 TIE_SHARE = 2.0**-20
-"""Of the greatest worth of a slot: first PRBs whose worths w min(r, need) differ by less go by PF."""
+"""Of a slot's greatest worth: first PRBs whose worths w min(r, need) differ by less go by PF."""
 
 _USER_LANES = 8
 

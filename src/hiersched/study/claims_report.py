@@ -11,7 +11,12 @@ from typing import Any
 
 from hiersched.scenario import Scenario
 from hiersched.study.claims import judge
-from hiersched.study.collect import gain_frame, runs_frame, training_frames
+from hiersched.study.collect import (
+    checkpoint_frames,
+    gain_frame,
+    runs_frame,
+    training_frames,
+)
 from hiersched.study.conditions import Frames
 from hiersched.study.files import write_bytes
 from hiersched.study.statistics import LEVEL
@@ -51,6 +56,7 @@ def write_claims(results_dir: str | os.PathLike[str], scenario: Scenario) -> lis
     evaluated = runs["stage"] == "evaluate"
     frames = Frames(
         training=training_frames(results, scenario),
+        checkpoints=checkpoint_frames(results, scenario),
         runs=runs[evaluated],
         sweeps=runs[~evaluated],
         gains=gain_frame(results, scenario),
@@ -75,6 +81,7 @@ def claims_json(claims: Sequence[Claim], scenario: Scenario) -> str:
                 "claim": claim.paper,
                 "measured": claim.measured,
                 "verdict": claim.verdict,
+                "halvings_that_agree": _finite(claim.base.agreement),
                 "base": _condition(claim.base),
                 "sensitivity": [_condition(c) for c in claim.others if c.counts],
                 "flipped_by": [_label(c) for c in claim.flipped_by],
@@ -93,8 +100,8 @@ def claims_markdown(claims: Sequence[Claim], scenario: Scenario) -> str:
         f"# The paper's claims in scenario `{scenario.name}`",
         "",
         f"{RULE} Brackets hold {100.0 * LEVEL:g} % intervals over seeds, paired where worlds are "
-        "shared: Student t for means and differences, Fieller for ratios. *d* is the standardised "
-        "effect: mean over standard deviation of the paired differences.",
+        "shared: Student t, of ratios on their logarithms. *d* is the standardised effect: mean "
+        "over standard deviation of the paired differences, or of the logarithms of the ratios.",
         "",
         *verdict_table(claims),
         "",
@@ -116,15 +123,16 @@ def claims_markdown(claims: Sequence[Claim], scenario: Scenario) -> str:
 def verdict_table(claims: Sequence[Claim]) -> list[str]:
     """Return the lines of the table of verdicts."""
     lines = [
-        "| | Claim | How it is measured | Numbers | Verdict | Flipped by |",
-        "|---:|---|---|---|---|---|",
+        "| | Claim | How it is measured | Numbers | Verdict | Halvings that agree | Flipped by |",
+        "|---:|---|---|---|---|---:|---|",
     ]
     for claim in claims:
         flips = "; ".join(_label(c) for c in claim.flipped_by) or "nothing that was run"
         note = f". {claim.unswept}" if claim.unswept else ""
         lines.append(
             f"| {claim.number} | {claim.paper} ({claim.reference}) | {claim.measured} "
-            f"| {_numbers(claim.base)} | **{claim.verdict}** | {flips}{note} |"
+            f"| {_numbers(claim.base)} | **{claim.verdict}** | {_agreeing(claim.base.agreement)} "
+            f"| {flips}{note} |"
         )
     return lines
 
@@ -146,16 +154,23 @@ def insert_table(text: str, claims_json: str) -> str:
     """
     if text.count(BEGIN) != 1 or text.count(END) != 1:
         raise ValueError(f"the text must have the lines {BEGIN} and {END} once each")
-    lines = ["| | Claim | As configured | Verdict | Flipped by |", "|---:|---|---|---|---|"]
+    lines = [
+        "| | Claim | As configured | Verdict | Halvings that agree | Flipped by |",
+        "|---:|---|---|---|---:|---|",
+    ]
     for claim in json.loads(claims_json)["claims"]:
         numbers = "; ".join(map(_plain, claim["base"]["statements"]))
         flips = "; ".join(claim["flipped_by"]) or "nothing that was run"
         lines.append(
             f"| {claim['number']} | {claim['claim']} ({claim['reference']}) | {numbers} "
-            f"| **{claim['verdict']}** | {flips} |"
+            f"| **{claim['verdict']}** | {_agreeing(claim['halvings_that_agree'])} | {flips} |"
         )
     before, rest = text.split(BEGIN)
     return "\n".join([before + BEGIN, *lines, END + rest.split(END)[1]])
+
+
+def _agreeing(share: float | None) -> str:
+    return "–" if share is None or math.isnan(share) else f"{100.0 * share:.0f} %"
 
 
 def _plain(statement: dict[str, Any]) -> str:

@@ -16,9 +16,10 @@ Measure: TypeAlias = Callable[[pd.DataFrame, str], tuple[Statement, ...]]
 
 
 class Frames(NamedTuple):
-    """What the claims are computed from: frames of `collect`, training by learned policy."""
+    """What the claims are computed from: frames of `collect`, those of training by learner."""
 
     training: Mapping[str, pd.DataFrame]
+    checkpoints: Mapping[str, pd.DataFrame]
     runs: pd.DataFrame
     sweeps: pd.DataFrame
     gains: pd.DataFrame
@@ -26,33 +27,69 @@ class Frames(NamedTuple):
 
 def learned_policies(scenario: Scenario) -> list[str]:
     """Return the evaluated policies that are learned, the scenario's own algorithm first."""
-    return [name for name in scenario.learned if name in scenario.evaluate.policies]
+    return [
+        name
+        for name, learning in scenario.learned.items()
+        if name in scenario.evaluate.policies and not learning.frozen
+    ]
+
+
+def control_of(scenario: Scenario, learner: str) -> str | None:
+    """Return the learner that learns nothing from the same start and under the same noise."""
+    own = scenario.learned[learner]
+    for name, learning in scenario.learned.items():
+        if learning.frozen and not own.frozen:
+            same = (learning.algorithm, learning.start) == (own.algorithm, own.start)
+            if same and learning.seeds == own.seeds:
+                return name
+    return None
 
 
 def trained(
-    frames: Frames, measure: Callable[[pd.DataFrame], tuple[Statement, ...]], block: int
+    frames: Frames,
+    scenario: Scenario,
+    measure: Callable[[pd.DataFrame, pd.DataFrame | None], tuple[Statement, ...]],
+    noisy: Callable[[pd.DataFrame, int], tuple[Statement, ...]],
 ) -> tuple[Condition, tuple[Condition, ...]]:
-    """Judge the training of every learned policy; the scenario's own is the base.
+    """Judge every learner by its noise-free checkpoints; the scenario's own is the base.
+
+    Beside them stand, and do not count: the controls that learn nothing, without noise too, and
+    what training shows of learners and controls, exploration noise included.
 
     Parameters
     ----------
     frames
-        Training by policy is used.
+        Checkpoints and training by learner are used.
+    scenario
+        Its learners.
     measure
-        From the training of a policy to its statements.
-    block
-        Episodes that ran side by side, a round; a training of one round says nothing.
+        From the checkpoints of a learner, and of its control if there is one, to its statements.
+    noisy
+        From a training and the episodes that ran side by side in it to statements.
     """
-    conditions = [
-        Condition(
-            axis="policy",
-            value=policy,
-            policy=policy,
-            statements=measure(training) if training["episode"].max() > block else (),
-        )
-        for policy, training in frames.training.items()
-    ]
+    learners = [name for name, learning in scenario.learned.items() if not learning.frozen]
+    controls = [name for name in scenario.learned if name not in learners]
+    conditions = []
+    for name in learners:
+        control = control_of(scenario, name)
+        beside = frames.checkpoints[control] if control is not None else None
+        statements = measure(frames.checkpoints[name], beside)
+        conditions.append(Condition(axis="policy", value=name, policy=name, statements=statements))
+    for name in controls:
+        statements = measure(frames.checkpoints[name], None)
+        conditions.append(_shown("learns nothing", name, statements))
+    for name in (*learners, *controls):
+        block = scenario.learned[name].num_envs
+        training = frames.training[name]
+        if training["episode"].max() > block:  # a training of one round says nothing
+            what = "learns nothing, with noise" if name in controls else "with noise"
+            conditions.append(_shown(what, name, noisy(training, block)))
     return _first(conditions), tuple(conditions[1:])
+
+
+def _shown(axis: str, policy: str, statements: tuple[Statement, ...]) -> Condition:
+    """Return a condition that is shown for comparison and does not count."""
+    return Condition(axis=axis, value=policy, policy=policy, statements=statements, counts=False)
 
 
 def evaluated(
@@ -125,6 +162,35 @@ def swept(
         for policy in dict.fromkeys((own, *present))
     ]
     return _first(conditions), tuple(conditions[1:])
+
+
+def by_coefficient(frames: Frames, scenario: Scenario, measure: Measure) -> tuple[Condition, ...]:
+    """Judge the own learner at both ends of the sampling interval, for every coefficient beta.
+
+    Parameters
+    ----------
+    frames, scenario
+        What was run.
+    measure
+        From the runs at both ends, `value` the sampling interval, and a policy, to statements.
+    """
+    own = scenario.learning.algorithm
+    along = frames.sweeps[frames.sweeps["axis"] == "service_coefficient_mbps"]
+    if along.empty or own not in set(along["policy"]):
+        return ()
+    points = along["value"].astype(str).str.split("_", expand=True)
+    conditions = []
+    for coefficient, rows in along.assign(value=points[1]).groupby(points[0], sort=False):
+        enough = rows["value"].nunique() > 1
+        conditions.append(
+            Condition(
+                axis="traffic.service_coefficient_mbps",
+                value=str(coefficient),
+                policy=own,
+                statements=measure(rows, own) if enough else (),
+            )
+        )
+    return tuple(conditions)
 
 
 def _first(conditions: Sequence[Condition]) -> Condition:

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from hiersched.scenario import Scenario
 from hiersched.study.collect import (
     cell_frame,
+    checkpoint_frames,
     evaluation_frame,
     gain_frame,
     sweep_frame,
@@ -41,7 +42,7 @@ from hiersched.study.figures_standing import (
 from hiersched.study.figures_training import draw_queues, draw_rewards
 from hiersched.study.gain_logs import stability_frame, trace_frame
 from hiersched.study.gain_summary import grid_table, sweeps_table
-from hiersched.study.samples import delay_tails, rate_distributions, reference_backlog
+from hiersched.study.samples import delay_tails, rate_distributions
 from hiersched.study.standing import bound_frame, bound_table, generalisation_table
 from hiersched.study.style import house_style, save_figure
 from hiersched.study.summary import gain_table, policy_table, sweep_table
@@ -82,7 +83,7 @@ def draw_figures(results_dir: str | os.PathLike[str], scenario: Scenario) -> lis
 def build_figures(results: Path, scenario: Scenario) -> Mapping[str, Callable[[], Figure]]:
     """Read the logs and return what draws each figure, by file name; call it in `house_style`."""
     learners = training_frames(results, scenario)
-    training = learners[scenario.learning.algorithm]
+    fixed = checkpoint_frames(results, scenario)
     runs = evaluation_frame(results, scenario)
     policies = policy_table(runs, scenario)
     sweeps = sweep_table(sweep_frame(results, scenario), scenario)
@@ -90,18 +91,17 @@ def build_figures(results: Path, scenario: Scenario) -> Mapping[str, Callable[[]
     grid, gain_sweeps = grid_table(results, scenario), sweeps_table(results, scenario)
     traces, regions = trace_frame(results, scenario), stability_frame(results)
     bound = bound_table(bound_frame(results))
-    elsewhere = generalisation_table(cell_frame(results, scenario))
-    reference = reference_backlog(results, scenario)
+    elsewhere = generalisation_table(cell_frame(results, scenario), scenario)
     rates, tails = rate_distributions(results, scenario), delay_tails(results, scenario)
     return {
-        "fig2_rewards": lambda: draw_rewards(training, scenario),
-        "fig3_queues": lambda: draw_queues(training, reference, scenario),
+        "fig2_rewards": lambda: draw_rewards(learners, fixed, scenario),
+        "fig3_queues": lambda: draw_queues(learners, fixed, scenario),
         "fig4_rate_cdf": lambda: draw_rate_cdf(rates, scenario),
         "fig5_rayleigh": lambda: draw_rayleigh(sweeps, scenario),
         "fig6_sampling": lambda: draw_sampling(sweeps, scenario),
         "fig7_dexterity": lambda: draw_dexterity(sweeps, scenario),
         "fig8_violations": lambda: draw_violations(policies, runs, tails, scenario),
-        "figX_learning": lambda: draw_learning(learners, scenario),
+        "figX_learning": lambda: draw_learning(learners, fixed, scenario),
         "figX_learners": lambda: draw_learners(sweeps, scenario),
         "figX_load": lambda: draw_load(sweeps, scenario),
         "figX_delay": lambda: draw_delay(tails, scenario),

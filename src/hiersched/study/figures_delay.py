@@ -34,7 +34,7 @@ def draw_violations(
     traffic, seeds = scenario.traffic, len(scenario.evaluate.seeds)
     caption(
         figure,
-        f"Large marks: means; dots: single seeds; bars and bands: Student t 95 % intervals over "
+        f"Large marks: means; dots: single seeds; bars and bands: 95 % intervals over "
         f"{seeds} seeds, cut at the axis where they include 0. Left of the dotted line in (a): 0, "
         f"which has no place on a logarithmic axis.{_open_marks(policies)} "
         f"Corner in (b): 1 − χ = {_percent(1.0 - traffic.reliability)} at the deadline of "

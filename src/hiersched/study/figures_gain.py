@@ -92,7 +92,7 @@ def draw_gain(gains: pd.DataFrame, scenario: Scenario) -> Figure:
     caption(
         figure,
         f"Mean over robots and {len(scenario.gain_study.seeds)} seeds; bars: 95 % intervals, "
-        "Student t in (a), Fieller in (b). Grey: violated delay. Each gain follows the delay. "
+        "Student t, in (b) of the logarithm. Grey: violated delay. Each gain follows the delay. "
         f"Stars: the paper's Table II.{_missing_bars(violated)}",
     )
     return figure

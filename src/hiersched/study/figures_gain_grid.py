@@ -58,7 +58,7 @@ def draw_gain_grid(grid: pd.DataFrame, scenario: Scenario) -> Figure:
         figure,
         f"{GAIN_METHODS[control.method].label} gains, {control.plant} plant, h = "
         f"{1e3 * control.sampling_s:g} ms. Means over {study.sweep_robots} robots and "
-        f"{len(study.seeds)} seeds in windows of constant violated delay, with Fieller's 95 % "
+        f"{len(study.seeds)} seeds in windows of constant violated delay, with 95 % "
         "intervals. Bold: the interval excludes 1. Hatched: the nominal gain stays in force, the "
         f"ratio is exactly 1. {_trouble(grid)}",
     )

@@ -11,9 +11,10 @@ from matplotlib.figure import Figure
 from hiersched.scenario import Scenario
 from hiersched.study.collect import BASELINE
 from hiersched.study.figures_standing import LOAD_PANELS
-from hiersched.study.figures_training import training_curve
-from hiersched.study.standing import COST
+from hiersched.study.figures_training import checkpoint_curve, training_curve
+from hiersched.study.standing import BACKLOG
 from hiersched.study.style import (
+    CONTROL,
     GREY,
     PANEL_HEIGHT_IN,
     caption,
@@ -33,53 +34,76 @@ BESIDE = (BASELINE, "drift_plus_penalty")
 """Schedulers that are shown beside the learners."""
 
 
-def draw_learning(training: Mapping[str, pd.DataFrame], scenario: Scenario) -> Figure:
-    """Draw late share and queues of every learner over its training, with noise on its actions.
+def draw_learning(
+    training: Mapping[str, pd.DataFrame],
+    checkpoints: Mapping[str, pd.DataFrame],
+    scenario: Scenario,
+) -> Figure:
+    """Draw late share and queues of every learner over its training, with and without noise.
 
     Parameters
     ----------
-    training
-        Learner -> frame of `collect.training_frame`.
+    training, checkpoints
+        Learner -> frame of `collect.training_frame` and of `collect.checkpoint_frame`.
     scenario
-        Its learners.
+        Its learners; those that learn nothing are drawn alike.
     """
-    figure = Figure(figsize=(7.2, 1.1 * PANEL_HEIGHT_IN), layout="constrained")
-    axes = list(figure.subplots(1, len(_CURVES), squeeze=False)[0])
-    late = pd.concat([frame["urllc_late_share"] for frame in training.values()])
-    floor = zero_floor(late)
-    for panel, (measure, title, label), letter in zip(axes, _CURVES, "abc", strict=True):
-        for learner, frame in training.items():
-            learning = scenario.learned[learner]
-            look = policy_look(learner, scenario.learned)
-            curve = training_curve(frame, measure, learning.num_envs)
-            done = curve["episode"] / learning.episodes
-            # Bands leave the logarithmic axes where they include 0.
-            least = floor if measure == "urllc_late_share" else 0.1 * curve["mean"].min()
-            low, mean, high = (curve[end].clip(lower=least) for end in ("lo", "mean", "hi"))
-            panel.fill_between(done, low, high, color=look.color, alpha=0.15, linewidth=0.0)
-            panel.plot(done, mean, color=look.color, linestyle=look.dashes, label=look.label)
-        panel.set_title(f"({letter}) {title}")
-        panel.set_ylabel(label)
-        panel.set_xlabel("share of the training [1]")
-        panel.set_xlim(0.0, 1.0)
-        if measure != "urllc_late_share":
-            lines = np.concatenate([line.get_ydata() for line in panel.get_lines()])
-            if lines.min() > 0.0:
-                panel.set_yscale("log")
-                panel.set_ylim(0.5 * lines.min(), 2.0 * lines.max())
-    log_axis_with_zero(axes[0], floor, np.minimum(late.to_numpy(np.float64), 1.0))
-    shared_legend(figure, axes[0], columns=6)
-    episodes = ", ".join(
-        f"{policy_look(name, scenario.learned).label} {learner.episodes}"
-        for name, learner in scenario.learned.items()
+    figure = Figure(figsize=(7.2, 2.1 * PANEL_HEIGHT_IN), layout="constrained")
+    rows = figure.subplots(2, len(_CURVES), squeeze=False, sharex=True, sharey="col")
+    late = pd.concat(
+        [f["urllc_late_share"] for frames in (training, checkpoints) for f in frames.values()]
     )
+    floor = zero_floor(late)
+    kinds = (("with noise", training), ("without noise", checkpoints))
+    for axes, (kind, frames), letters in zip(rows, kinds, ("abc", "def"), strict=True):
+        for panel, (measure, title, label), letter in zip(axes, _CURVES, letters, strict=True):
+            for learner, frame in frames.items():
+                learning = scenario.learned[learner]
+                look = CONTROL if learning.frozen else policy_look(learner, _named(scenario))
+                if frames is training:
+                    curve = training_curve(frame, measure, learning.num_envs)
+                else:
+                    curve = checkpoint_curve(frame, measure)
+                done = curve["episode"] / learning.episodes
+                # Bands leave the logarithmic axes where they include 0.
+                least = floor if measure == "urllc_late_share" else 0.1 * curve["mean"].min()
+                low, mean, high = (curve[end].clip(lower=least) for end in ("lo", "mean", "hi"))
+                panel.fill_between(done, low, high, color=look.color, alpha=0.12, linewidth=0.0)
+                panel.plot(
+                    done,
+                    mean,
+                    color=look.color,
+                    linestyle=look.dashes,
+                    marker=look.marker if frames is checkpoints else "none",
+                    markersize=3.0,
+                    label=look.label,
+                )
+            panel.set_title(f"({letter}) {title}, {kind}")
+            panel.set_ylabel(label)
+            panel.set_xlim(-0.02, 1.02)
+            if measure != "urllc_late_share":
+                lines = np.concatenate([line.get_ydata() for line in panel.get_lines()])
+                if lines.min() > 0.0:
+                    panel.set_yscale("log")
+        if frames is checkpoints:
+            for panel in axes:
+                panel.set_xlabel("share of the training [1]")
+    for axes in rows:
+        log_axis_with_zero(axes[0], floor, np.minimum(late.to_numpy(np.float64), 1.0))
+    shared_legend(figure, rows[1][0], columns=7)
     caption(
         figure,
-        f"Mean over {len(scenario.learning.seeds)} seeds and the episodes that run side by side; "
-        "bands: Student t 95 % interval over seeds. Actions have exploration noise. Episodes of "
-        f"the whole training: {episodes}.",
+        f"Mean over {len(scenario.learning.seeds)} seeds; bands: Student t 95 % interval over "
+        "seeds. Grey: actors that stay as they start, one for each kind of noise and start. "
+        "Without noise: the policies as they are at that share of their training, in the same "
+        "worlds for all. Episodes begin with empty queues.",
     )
     return figure
+
+
+def _named(scenario: Scenario) -> list[str]:
+    """List the learners that learn: their places say how they are drawn."""
+    return [name for name, learning in scenario.learned.items() if not learning.frozen]
 
 
 def draw_learners(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
@@ -92,7 +116,7 @@ def draw_learners(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     scenario
         Its learners.
     """
-    shown = [*scenario.learned, *BESIDE]
+    shown = [*_named(scenario), *BESIDE]
     table = sweeps[(sweeps["axis"] == "load") & sweeps["policy"].isin(shown)]
     policies = [policy for policy in shown if policy in set(table["policy"])]
     figure = Figure(figsize=(7.2, 2.15 * PANEL_HEIGHT_IN), layout="constrained")
@@ -111,7 +135,7 @@ def draw_learners(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
             drawn = table[[measure, f"{measure}_hi"]].to_numpy(dtype=np.float64)
             log_axis_with_zero(panel, floor, np.minimum(drawn, 1.0).ravel())
             panel.axhline(1.0 - scenario.traffic.reliability, color=GREY, linewidth=0.9)
-        elif measure == COST and (table[COST] > 0.0).all():
+        elif measure == BACKLOG and (table[BACKLOG] > 0.0).all():
             panel.set_yscale("log")
         panel.set_title(f"({letter}) {title}")
         panel.set_ylabel(label)
@@ -120,7 +144,7 @@ def draw_learners(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     shared_legend(figure, axes[0], columns=4)
     caption(
         figure,
-        f"Mean and Student t 95 % interval over {len(scenario.sweeps.seeds)} worlds, each with "
+        f"Mean and 95 % interval over {len(scenario.sweeps.seeds)} worlds, each with "
         "its own training seed. Grey line in (a): the share 1 − χ that is allowed; below the "
         "dotted line: 0. The axes of (b) and (d) do not start at 0.",
     )

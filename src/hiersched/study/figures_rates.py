@@ -264,4 +264,4 @@ def _name_references(panel: Axes, table: pd.DataFrame) -> None:
 
 
 def _over_seeds(seeds: Sequence[int]) -> str:
-    return f"Student t 95 % interval over {len(seeds)} seeds"
+    return f"95 % interval over {len(seeds)} seeds"

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from hiersched.scenario import Scenario
 from hiersched.study.samples import tail_policies
-from hiersched.study.standing import COST
+from hiersched.study.standing import BACKLOG
 from hiersched.study.style import (
     GREY,
     PANEL_HEIGHT_IN,
@@ -31,13 +31,13 @@ TAIL_END = 1e-4
 LOAD_PANELS = (
     ("urllc_late_share", "late URLLC packets", "share of due packets [1]"),
     ("tracking_error_cm", "robots: RMS position error", "tracking error [cm]"),
-    (COST, "cost of the network", "drift + V penalty a slot [packets²]"),
+    (BACKLOG, "mean square backlog", "mean of ½ΣF² over slots [packets²]"),
     ("embb_rate_mbps", "eMBB data rate", "rate per user [Mbit/s]"),
 )
 
 
 def draw_load(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
-    """Draw late share, tracking error, cost and eMBB rate of policies against the load.
+    """Draw late share, tracking error, backlog and eMBB rate of policies against the load.
 
     Of the learners the scenario's own; `figures_learners` has the others.
     """
@@ -58,7 +58,7 @@ def draw_load(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
             drawn = table[[measure, f"{measure}_hi"]].to_numpy(dtype=np.float64)
             log_axis_with_zero(panel, floor, [*drawn.ravel(), allowed])
             panel.axhline(allowed, color=GREY, linewidth=0.9)
-        elif measure == COST and (table[COST] > 0.0).all():
+        elif measure == BACKLOG and (table[BACKLOG] > 0.0).all():
             panel.set_yscale("log")
         panel.set_title(f"({letter}) {title}")
         panel.set_ylabel(label)
@@ -67,7 +67,7 @@ def draw_load(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     shared_legend(figure, axes[0], columns=6)
     caption(
         figure,
-        f"Mean and Student t 95 % interval over {len(scenario.sweeps.seeds)} seeds; bars leave "
+        f"Mean and 95 % interval over {len(scenario.sweeps.seeds)} seeds; bars leave "
         "logarithmic axes, or end at 0 in (a), where they include 0. Grey line in (a): the share "
         f"1 − χ that is allowed; below the dotted line: 0.{_open_marks(table)} The axes of (b) and "
         "(d) do not start at 0.",
@@ -151,7 +151,7 @@ def draw_pareto(policies: pd.DataFrame, scenario: Scenario) -> Figure:
     shared_legend(figure, axes[0], columns=5)
     caption(
         figure,
-        f"Means and Student t 95 % intervals over {len(scenario.evaluate.seeds)} worlds. Up and "
+        f"Means and 95 % intervals over {len(scenario.evaluate.seeds)} worlds. Up and "
         "left is better. Grey steps: the policies that no other beats in both means. Left of the "
         f"dotted line in (a): 0.{_open_marks(policies)} Other axes do not start at 0.",
     )
@@ -220,7 +220,7 @@ def _draw_gap(
 
 
 def draw_generalise(table: pd.DataFrame, scenario: Scenario) -> Figure:
-    """Draw late share and cost of policies in cells of other sizes, beside the schedulers."""
+    """Draw late share and backlog of policies in cells of other sizes, beside the schedulers."""
     cells = table[table["axis"] == "cell"]
     figure, axes = new_figure(height_in=1.1 * PANEL_HEIGHT_IN)
     values = list(dict.fromkeys(cells["value"]))
@@ -231,25 +231,25 @@ def draw_generalise(table: pd.DataFrame, scenario: Scenario) -> Figure:
         own = cells[cells["policy"] == policy].set_index("value").loc[values]
         x = np.arange(len(values)) + 0.11 * (number - 0.5 * (len(policies) - 1))
         look = _look(policy, scenario)._replace(dashes="none")
-        for panel, measure, low in ((axes[0], late, floor), (axes[1], COST, None)):
+        for panel, measure, low in ((axes[0], late, floor), (axes[1], BACKLOG, None)):
             bounds = own[f"{measure}_lo"], own[f"{measure}_hi"]
             draw_series(panel, x, own[measure], *bounds, look, floor=low)
     drawn = cells[[late, f"{late}_hi"]].to_numpy(dtype=np.float64)
     log_axis_with_zero(axes[0], floor, np.minimum(drawn, 1.0))
-    if (cells[COST] > 0.0).all():
+    if (cells[BACKLOG] > 0.0).all():
         axes[1].set_yscale("log")
     for panel in axes:
         panel.set_xticks(range(len(values)), [_cell_label(value) for value in values])
         panel.set_xlabel("URLLC + eMBB users, PRBs")
     axes[0].set_title("(a) late URLLC packets")
     axes[0].set_ylabel("share of due packets [1]")
-    axes[1].set_title("(b) cost of the network")
-    axes[1].set_ylabel("drift + V penalty a slot [packets²]")
+    axes[1].set_title("(b) mean square backlog")
+    axes[1].set_ylabel("mean of ½ΣF² over slots [packets²]")
     shared_legend(figure, axes[0])
     users = scenario.users
     caption(
         figure,
-        f"Mean and Student t 95 % interval over {len(scenario.generalise.seeds)} worlds. The "
+        f"Mean and 95 % interval over {len(scenario.generalise.seeds)} worlds. The "
         f"learned policies were trained on {users.num_urllc} + {users.num_embb} users and "
         f"{scenario.radio.num_prb} PRBs and run unchanged. Below the dotted line in (a): "
         f"0.{_open_marks(cells)}",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pandas as pd
@@ -10,8 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hiersched.scenario import Scenario
-from hiersched.study.statistics import Interval, mean_interval
-from hiersched.study.style import SLICES, Look, caption, new_figure, note_at, policy_look
+from hiersched.study.conditions import control_of
+from hiersched.study.statistics import mean_interval
+from hiersched.study.style import CONTROL, SLICES, caption, new_figure, shared_legend
 
 LOG_RANGE = 30.0
 """Queues that span a larger factor are drawn on a logarithmic axis."""
@@ -43,16 +44,29 @@ def training_curve(training: pd.DataFrame, measure: str, block: int) -> pd.DataF
     return frame
 
 
-def draw_rewards(training: pd.DataFrame, scenario: Scenario) -> Figure:
-    """Draw each slice's reward per slot over the episodes of training."""
+def draw_rewards(
+    training: Mapping[str, pd.DataFrame],
+    checkpoints: Mapping[str, pd.DataFrame],
+    scenario: Scenario,
+) -> Figure:
+    """Draw each slice's reward per slot over training: with noise, without, and without learning.
+
+    Parameters
+    ----------
+    training, checkpoints
+        Learner -> frame of `collect.training_frame` and of `collect.checkpoint_frame`.
+    scenario
+        Its own learner is drawn, and the control for it.
+    """
     figure, axes = new_figure()
     axis_note = ""
     for panel, name, letter in zip(axes, ("embb", "urllc"), "ab", strict=True):
-        curve = _draw_curve(panel, training, f"{name}_reward", SLICES[name], scenario)
+        curve = _draw_training(panel, training, checkpoints, f"{name}_reward", name, scenario)
         panel.set_title(f"({letter}) {SLICES[name].label} reward")
         panel.set_ylabel("reward of the slice per slot [1]")
         if _stretch(panel, curve):
             axis_note = " Axes: linear near 0 (shaded), logarithmic beyond."
+    _legend(figure, axes)
     caption(figure, _note(training, scenario) + axis_note)
     return figure
 
@@ -70,59 +84,91 @@ def _stretch(panel: Axes, curve: pd.DataFrame) -> bool:
 
 
 def draw_queues(
-    training: pd.DataFrame, reference: Mapping[str, Interval], scenario: Scenario
+    training: Mapping[str, pd.DataFrame],
+    checkpoints: Mapping[str, pd.DataFrame],
+    scenario: Scenario,
 ) -> Figure:
-    """Draw each slice's backlog per user over the episodes of training, and PF's for comparison."""
+    """Draw each slice's backlog per user over training; parameters as for `draw_rewards`."""
     figure, axes = new_figure()
     for panel, name, letter in zip(axes, ("embb", "urllc"), "ab", strict=True):
         measure = f"{name}_backlog_packets"
-        curve = _draw_curve(panel, training, measure, SLICES[name], scenario)
-        values = curve["mean"].to_list()
-        if name in reference:
-            values.append(reference[name].mean)
-            look = policy_look("pf")
-            panel.axhline(
-                reference[name].mean,
-                color=look.color,
-                linestyle=look.dashes,
-            )
-            at = {"xycoords": panel.get_yaxis_transform(), "textcoords": "offset points"}
-            note_at(panel, "PF", 0.995, reference[name].mean, xytext=(0, 3), ha="right", **at)
+        _draw_training(panel, training, checkpoints, measure, name, scenario)
         panel.set_title(f"({letter}) {SLICES[name].label} queue length")
         panel.set_ylabel("backlog per user [packets]")
-        if min(values) > 0.0 and max(values) > LOG_RANGE * min(values):
+        drawn = [np.asarray(line.get_ydata(), np.float64) for line in panel.get_lines()]
+        values = np.concatenate([y[np.isfinite(y)] for y in drawn])
+        if values.min() > 0.0 and values.max() > LOG_RANGE * values.min():
             panel.set_yscale("log")
         else:
             panel.set_ylim(bottom=0.0)
-    pf = " PF: in the evaluation worlds, over as many slots from empty queues." if reference else ""
-    caption(figure, _note(training, scenario) + pf)
+    _legend(figure, axes)
+    caption(figure, _note(training, scenario))
     return figure
 
 
-def _draw_curve(
-    panel: Axes, training: pd.DataFrame, measure: str, look: Look, scenario: Scenario
+def _draw_training(
+    panel: Axes,
+    training: Mapping[str, pd.DataFrame],
+    checkpoints: Mapping[str, pd.DataFrame],
+    measure: str,
+    name: str,
+    scenario: Scenario,
 ) -> pd.DataFrame:
-    curve = training_curve(training, measure, scenario.learning.num_envs)
-    episode = curve["episode"].to_numpy()
-    panel.fill_between(
-        episode, curve["lo"], curve["hi"], color=look.color, alpha=0.22, linewidth=0.0
-    )
-    panel.plot(
-        episode,
-        curve["mean"],
-        color=look.color,
-        marker=look.marker,
-        markersize=3.0,
-    )
-    panel.set_xlabel("training episode")
-    panel.set_xlim(0, float(training["episode"].max()) * 1.02)
-    return curve
+    """Draw one measure of the own learner and its control; returns the learner's curve."""
+    own = scenario.learning.algorithm
+    control = control_of(scenario, own)
+    shown = [(own, SLICES[name])] + ([(control, CONTROL)] if control is not None else [])
+    curves = []
+    for learner, look in shown:
+        learning = scenario.learned[learner]
+        curve = training_curve(training[learner], measure, learning.num_envs)
+        done = curve["episode"] / learning.episodes
+        who = "learner" if learner == own else CONTROL.label
+        panel.fill_between(
+            done, curve["lo"], curve["hi"], color=look.color, alpha=0.2, linewidth=0.0
+        )
+        dashes = "-" if learner == own else look.dashes
+        panel.plot(done, curve["mean"], color=look.color, linestyle=dashes, label=f"{who}, noise")
+        points = checkpoint_curve(checkpoints[learner], measure)
+        panel.errorbar(
+            points["episode"] / learning.episodes,
+            points["mean"],
+            yerr=[points["mean"] - points["lo"], points["hi"] - points["mean"]],
+            color=look.color,
+            linestyle="none",
+            marker="o" if learner == own else "D",
+            markerfacecolor=look.color if learner == own else "white",
+            elinewidth=0.9,
+            zorder=3,
+            label=f"{who}, without noise",
+        )
+        curves.append(curve)
+    panel.set_xlabel("share of the training [1]")
+    panel.set_xlim(-0.02, 1.02)
+    return curves[0]
 
 
-def _note(training: pd.DataFrame, scenario: Scenario) -> str:
+def checkpoint_curve(checkpoints: pd.DataFrame, measure: str) -> pd.DataFrame:
+    """Return the mean over seeds of a measure at noise-free checkpoints: episode, mean, lo, hi."""
+    by_seed = checkpoints.pivot(index="episode", columns="seed", values=measure)
+    intervals = [mean_interval(row) for row in by_seed.to_numpy()]
+    frame = pd.DataFrame(intervals, columns=["mean", "lo", "hi"])
+    frame.insert(0, "episode", by_seed.index.to_numpy())
+    return frame
+
+
+def _legend(figure: Figure, axes: Sequence[Axes]) -> None:
+    """Name lines and marks below the panels: once for each slice's colour."""
+    shared_legend(figure, axes[0], columns=4)
+
+
+def _note(training: Mapping[str, pd.DataFrame], scenario: Scenario) -> str:
     learning = scenario.learning
-    seeds = training["seed"].nunique()
+    seeds = training[learning.algorithm]["seed"].nunique()
     return (
-        f"Point: mean over {seeds} seeds and the {learning.num_envs} episodes that run side by "
-        f"side, {learning.slots_per_episode} slots each. Band: Student t 95 % interval over seeds."
+        f"Lines: mean over {seeds} seeds and the {learning.num_envs} episodes that run side by "
+        f"side, {learning.slots_per_episode} slots each from empty queues, with exploration noise "
+        f"on the actions. Marks: the same policies without noise in {learning.checkpoint_worlds} "
+        "fixed worlds. Grey: actors that stay as they start, under the same noise. Bands and bars: "
+        "Student t 95 % intervals over seeds."
     )

@@ -21,7 +21,7 @@ from hiersched.study.gain_logs import (
     schedule_state,
     stability_frame,
 )
-from hiersched.study.statistics import Interval, interval_columns, mean_interval, paired_ratio
+from hiersched.study.statistics import Interval, interval_columns, mean_interval, paired_log_ratio
 
 
 def methods_table(results: Path, scenario: Scenario) -> pd.DataFrame:
@@ -101,7 +101,7 @@ def compared(runs: pd.DataFrame) -> dict[str, Any]:
     for gain, group in by_gain.items():
         row |= interval_columns(f"{gain}_cm", mean_interval(group["error_cm"]))
     nominal, adjusted = (by_gain[gain]["error_cm"].to_numpy() for gain in ("nominal", "adjusted"))
-    row |= interval_columns("ratio", paired_ratio(adjusted, nominal))
+    row |= interval_columns("ratio", paired_log_ratio(adjusted, nominal))
     row["seeds"] = len(nominal)
     for name in ("off_track", "saturated"):
         for gain, group in by_gain.items():

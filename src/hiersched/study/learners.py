@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import asdict
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from hiersched.scenario import Scenario
+from hiersched.study.intervals import SYMMETRIC, measure_interval, resolution
 from hiersched.study.standing import CELL_MEASURES
-from hiersched.study.statistics import interval_columns, mean_interval, paired_difference
+from hiersched.study.statistics import interval_columns, paired_difference, paired_log_ratio
 
 
 def differing_keys(scenario: Scenario, learner: str) -> dict[str, Any]:
@@ -39,8 +39,9 @@ def learner_table(sweeps: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
     -------
     DataFrame
         One row a load and learner: load, learner, differs (the keys), seeds, then for every measure
-        its mean over worlds and the mean of the paired differences from the own learner (suffix
-        ``_minus_own``), with bounds ``_lo`` and ``_hi``. World and training seed are paired.
+        its mean over worlds and how it compares with the own learner: the mean of the paired
+        differences (suffix ``_minus_own``) of rates, the typical ratio (``_over_own``) of what is
+        skewed, with bounds ``_lo`` and ``_hi``. World and training seed are paired.
     """
     rows = []
     own = scenario.learning.algorithm
@@ -57,11 +58,16 @@ def learner_table(sweeps: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
                 "seeds": len(by_learner[learner]),
             }
             for measure in CELL_MEASURES:
-                values = by_learner[learner][measure]
-                row |= interval_columns(measure, mean_interval(values.to_numpy(np.float64)))
+                runs = by_learner[learner]
+                row |= interval_columns(measure, measure_interval(measure, runs, scenario))
                 if learner != own and own in by_learner:
-                    base = by_learner[own][measure].loc[values.index]
-                    gain = paired_difference(values.to_numpy(), base.to_numpy())
-                    row |= interval_columns(f"{measure}_minus_own", gain)
+                    values, base = runs[measure], by_learner[own][measure].loc[runs.index]
+                    if measure in SYMMETRIC:
+                        gain = paired_difference(values, base)
+                        row |= interval_columns(f"{measure}_minus_own", gain)
+                    else:
+                        least = resolution(measure, runs, scenario)
+                        over = paired_log_ratio(values, base, resolution=least)
+                        row |= interval_columns(f"{measure}_over_own", over)
             rows.append(row)
     return pd.DataFrame(rows) if rows else pd.DataFrame(columns=["load", "learner", "differs"])

@@ -10,7 +10,13 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from hiersched.study.statistics import Interval, effect_size, mean_interval, paired_ratio
+from hiersched.study.statistics import (
+    Interval,
+    effect_size,
+    log_ratios,
+    mean_interval,
+    paired_log_ratio,
+)
 from hiersched.study.verdicts import Statement
 
 Sample: TypeAlias = "pd.Series[float]"
@@ -23,11 +29,11 @@ STRETCHES = 5
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """An estimate over seeds with its interval and standardised effect."""
+    """A number over seeds: a value or its logarithm for each, and the interval of the mean."""
 
+    values: NDArray[np.float64]
+    logarithms: bool
     interval: Interval
-    effect: float
-    count: int
 
     def statement(self, name: str, unit: str, **claimed: float) -> Statement:
         """Return the statement that it lies within a claimed range (`above`, `below`)."""
@@ -35,15 +41,16 @@ class Measured:
             name=name,
             unit=unit,
             interval=self.interval,
-            effect=self.effect,
-            count=self.count,
+            effect=effect_size(self.values),
+            values=tuple(self.values.tolist()),
+            logarithms=self.logarithms,
             **claimed,
         )
 
 
 def mean(values: NDArray[np.float64]) -> Measured:
     """Measure a mean over seeds, Student's t interval."""
-    return Measured(interval=mean_interval(values), effect=effect_size(values), count=len(values))
+    return Measured(values=values, logarithms=False, interval=mean_interval(values))
 
 
 def difference(values: Sample, baseline: Sample) -> Measured:
@@ -51,10 +58,14 @@ def difference(values: Sample, baseline: Sample) -> Measured:
     return mean(values.to_numpy(np.float64) - baseline.to_numpy(np.float64))
 
 
-def ratio(values: Sample, baseline: Sample) -> Measured:
-    """Measure the ratio of the means of paired samples; its effect is that of the difference."""
+def ratio(values: Sample, baseline: Sample, resolution: float = 0.0) -> Measured:
+    """Measure the typical ratio of paired samples; see `statistics.paired_log_ratio`."""
     a, b = values.to_numpy(np.float64), baseline.to_numpy(np.float64)
-    return Measured(interval=paired_ratio(a, b), effect=effect_size(a - b), count=len(a))
+    return Measured(
+        values=log_ratios(a, b, resolution),
+        logarithms=True,
+        interval=paired_log_ratio(a, b, resolution=resolution),
+    )
 
 
 def slope(
@@ -83,32 +94,14 @@ def slope(
     return mean(np.array(slopes))
 
 
-def settling(training: pd.DataFrame, measure: str, block: int) -> tuple[Measured, Measured]:
-    """Measure the change from the first to the last fifth of training, and how much of it is late.
-
-    Parameters
-    ----------
-    training
-        From `collect.training_frame`.
-    measure
-        Column.
-    block
-        Episodes that ran side by side.
-
-    Returns
-    -------
-    change
-        Last fifth minus first.
-    late
-        (Last fifth - last but one) / change.
-    """
-    fifths = _fifths(training, measure, block)
-    change, late = fifths[:, -1] - fifths[:, 0], fifths[:, -1] - fifths[:, -2]
-    return mean(change), ratio(pd.Series(late), pd.Series(change))
+def steps(checkpoints: pd.DataFrame, measure: str) -> NDArray[np.float64]:
+    """Return a measure of every seed at its noise-free checkpoints, shape (seeds, checkpoints)."""
+    table = checkpoints.pivot(index="seed", columns="episode", values=measure)
+    return table.to_numpy(np.float64)
 
 
-def decrease(training: pd.DataFrame, measure: str, block: int) -> Measured:
-    """Measure the change from the first to the last fifth of training."""
+def change_in_training(training: pd.DataFrame, measure: str, block: int) -> Measured:
+    """Measure the change from the first to the last fifth of training, noise included."""
     fifths = _fifths(training, measure, block)
     return mean(fifths[:, -1] - fifths[:, 0])
 

@@ -1,4 +1,4 @@
-"""What the figures need besides the tables: distributions, and PF's queues for comparison."""
+"""What the figures need besides the tables: distributions of rates and delays."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pandas as pd
 from hiersched.scenario import Scenario
 from hiersched.study.collect import BASELINE, evaluation_log, read_evaluation
 from hiersched.study.metrics import read_sojourns, slots_per_window
-from hiersched.study.statistics import Interval, mean_interval
+from hiersched.study.statistics import mean_interval
 
 RATE_POINTS = 301
 DELAY_POINTS = 201
@@ -27,25 +27,6 @@ def tail_policies(scenario: Scenario) -> list[str]:
     """Return the policies whose delays are shown: those of the sweeps, and EDF as the reference."""
     shown = shown_policies(scenario)
     return shown + [p for p in scenario.evaluate.policies if p == "edf" and p not in shown]
-
-
-def reference_backlog(results: Path, scenario: Scenario) -> dict[str, Interval]:
-    """Return PF's mean backlog by slice over evaluation slots as many as an episode has.
-
-    Both start from empty queues, so this is what training has to beat. Empty without PF.
-    """
-    if BASELINE not in scenario.evaluate.policies:
-        return {}
-    length, urllc = scenario.learning.slots_per_episode, scenario.users.num_urllc
-    name = "backlog_packets"
-    backlogs = [
-        read_evaluation(results, BASELINE, seed, [name]).fields[name][:length]
-        for seed in scenario.evaluate.seeds
-    ]
-    return {
-        "urllc": mean_interval([float(b[:, :urllc].mean()) for b in backlogs]),
-        "embb": mean_interval([float(b[:, urllc:].mean()) for b in backlogs]),
-    }
 
 
 def rate_distributions(results: Path, scenario: Scenario) -> pd.DataFrame:

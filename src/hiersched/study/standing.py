@@ -10,19 +10,21 @@ import numpy as np
 import pandas as pd
 
 from hiersched.runs import paths
+from hiersched.scenario import Scenario
 from hiersched.scenario.schema import SchedulerName
 from hiersched.study.collect import BASELINE
+from hiersched.study.intervals import measure_interval
 from hiersched.study.statistics import (
     Interval,
     interquartile_interval,
     interval_columns,
     mean_interval,
-    paired_difference,
+    paired_log_ratio,
     probability_of_improvement,
 )
 
-COST = "drift_plus_penalty_cost"
-"""What the network pays a slot: the measure by which policies are ranked."""
+BACKLOG = "mean_square_backlog"
+"""Time average of half the sum of squared backlogs: the measure by which policies are ranked."""
 
 _CLASSICAL = tuple(name for name in get_args(SchedulerName) if name != "exact")
 
@@ -34,40 +36,40 @@ CELL_MEASURES = (
     "urllc_rate_mbps",
     "embb_rate_mbps",
     "tracking_error_cm",
-    COST,
+    BACKLOG,
+    "penalty_cost",
 )
 
 
 def best_classical(runs: pd.DataFrame) -> str | None:
-    """Return the classical scheduler of least mean cost; the exact optimum is none of them.
+    """Return the classical scheduler of least mean square backlog; the exact optimum is none.
 
     It is picked by the very runs with which it is compared, so a comparison with it is never too
     kind to others. None where no classical scheduler was run.
     """
-    means = runs[runs["policy"].isin(_CLASSICAL)].groupby("policy")[COST]
+    means = runs[runs["policy"].isin(_CLASSICAL)].groupby("policy")[BACKLOG]
     return str(means.mean().idxmin()) if means.ngroups else None
 
 
 def standing(runs: pd.DataFrame) -> pd.DataFrame:
-    """Return by policy the robust cost, and the probability to cost less than the best classical.
+    """Return by policy how its mean square backlog compares with the best classical scheduler's.
 
     Returns
     -------
     DataFrame
-        Columns policy, cost_iqm (bounds _lo, _hi: stratified bootstrap), best_classical, and
-        improvement (bounds likewise): the probability that the policy costs less in a world than
-        the best classical scheduler in another.
+        Columns policy, best_classical, backlog_over_best (bounds _lo, _hi: the typical ratio in the
+        same worlds), and improvement (likewise): the probability that the policy's is less in a
+        world than that of the best classical scheduler in another.
     """
     best = best_classical(runs)
     rows = []
     for policy, group in runs.groupby("policy", sort=False):
-        cost = group[COST].to_numpy(np.float64)
         row: dict[str, Any] = {"policy": policy}
-        row |= interval_columns("cost_iqm", interquartile_interval([cost]))
         if best is not None:
-            other = runs.loc[runs["policy"] == best, COST].to_numpy(np.float64)
+            own, other = group[BACKLOG], runs.loc[runs["policy"] == best, BACKLOG]
             row["best_classical"] = best
-            row |= interval_columns("improvement", probability_of_improvement(cost, other))
+            row |= interval_columns("backlog_over_best", paired_log_ratio(own, other))
+            row |= interval_columns("improvement", probability_of_improvement(own, other))
         rows.append(row)
     return pd.DataFrame(rows)
 
@@ -75,9 +77,9 @@ def standing(runs: pd.DataFrame) -> pd.DataFrame:
 def score_table(runs: pd.DataFrame, sweeps: pd.DataFrame) -> pd.DataFrame:
     """Return how policies stand over all loads together.
 
-    The score of a policy in a world is (cost of PF - its own) / (cost of PF - that of the best
-    classical scheduler at this load): 0 as PF, 1 as the best, more where it costs less. Strata of
-    the bootstrap are the loads.
+    The score of a policy in a world is log(PF / its own) / log(PF / that of the best classical
+    scheduler at this load), of mean square backlogs, the denominator averaged over worlds: 0 as PF,
+    1 as the best, more where its queues are shorter. Strata of the bootstrap are the loads.
 
     Parameters
     ----------
@@ -89,44 +91,47 @@ def score_table(runs: pd.DataFrame, sweeps: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Columns policy, loads, seeds, score_iqm (_lo, _hi), cheaper_worlds: the share of worlds in
-        which it costs less than the best classical scheduler of the load.
+        Columns policy, loads, seeds, score_iqm (_lo, _hi), shorter_worlds: the share of worlds in
+        which its mean square backlog is below that of the best classical scheduler of the load.
     """
     along = sweeps[sweeps["axis"] == "load"]
     if BASELINE not in set(along["policy"]):
         return pd.DataFrame(columns=["policy", "loads", "seeds"])
     rows = []
     for policy in dict.fromkeys(runs["policy"]):
-        strata, cheaper = [], []
+        strata, shorter = [], []
         for _, group in along.groupby("value", sort=False):
-            cost = group.pivot(index="seed", columns="policy", values=COST)
-            best, baseline = best_classical(group), cost[BASELINE]
-            if policy not in cost or best is None:
+            backlog = group.pivot(index="seed", columns="policy", values=BACKLOG)
+            best, baseline = best_classical(group), backlog[BASELINE]
+            if policy not in backlog or best is None:
                 continue
-            gain = (baseline - cost[best]).mean()
-            strata.append(((baseline - cost[policy]) / gain).to_numpy(np.float64))
-            cheaper.append((cost[policy] < cost[best]).to_numpy())
+            gain = np.log(baseline / backlog[best]).mean()
+            strata.append((np.log(baseline / backlog[policy]) / gain).to_numpy(np.float64))
+            shorter.append((backlog[policy] < backlog[best]).to_numpy())
         if strata:
             score = interquartile_interval(strata)
             row = {"policy": policy, "loads": len(strata), "seeds": len(strata[0])}
-            share = float(np.concatenate(cheaper).mean())
-            rows.append({**row, **interval_columns("score_iqm", score), "cheaper_worlds": share})
+            share = float(np.concatenate(shorter).mean())
+            rows.append({**row, **interval_columns("score_iqm", score), "shorter_worlds": share})
     return pd.DataFrame(rows)
 
 
-def generalisation_table(runs: pd.DataFrame) -> pd.DataFrame:
+def generalisation_table(runs: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
     """Return how policies do where they were not trained, beside the best scheduler there.
 
     Parameters
     ----------
     runs
         Sweeps and cells of other sizes, one row a run.
+    scenario
+        The scenario that was run.
 
     Returns
     -------
     DataFrame
         One row an axis (cell, load, rayleigh_scale), value and policy: seeds, measures with their
-        intervals, best_classical, and cost_over_best: the paired difference of the costs.
+        intervals, best_classical, and backlog_over_best: the typical ratio of the mean square
+        backlogs in the same worlds.
     """
     rows = []
     for axis in CELL_AXES:
@@ -136,12 +141,12 @@ def generalisation_table(runs: pd.DataFrame) -> pd.DataFrame:
                 row: dict[str, Any] = {"axis": axis, "value": value, "policy": policy}
                 row["seeds"] = len(own)
                 for name in CELL_MEASURES:
-                    row |= interval_columns(name, mean_interval(own[name].to_numpy(np.float64)))
+                    row |= interval_columns(name, measure_interval(name, own, scenario))
                 if best is not None:
-                    cost = group.pivot(index="seed", columns="policy", values=COST)
+                    backlog = group.pivot(index="seed", columns="policy", values=BACKLOG)
                     row["best_classical"] = best
-                    over = paired_difference(cost[policy], cost[best])
-                    row |= interval_columns("cost_over_best", over)
+                    over = paired_log_ratio(backlog[policy], backlog[best])
+                    row |= interval_columns("backlog_over_best", over)
                 rows.append(row)
     return pd.DataFrame(rows)
 

@@ -1,13 +1,15 @@
 """Means, differences and ratios over seeds with their intervals.
 
-Seeds are few, so intervals use Student's t distribution; a bootstrap is there as the alternative
-that assumes no shape. Comparisons are paired: the i-th value of both samples comes from the same
-world. Interquartile mean, stratified bootstrap and probability of improvement follow Agarwal et al.
-("Deep reinforcement learning at the edge of the statistical precipice", NeurIPS 2021).
+Seeds are few: means of what is roughly symmetric get Student's t interval, means of skewed measures
+such as late shares the generalised pivotal one of a lognormal mean. Comparisons are paired: the
+i-th value of both samples comes from the same world; of positive measures they are ratios, by their
+logarithms. Interquartile mean, stratified bootstrap and probability of improvement follow Agarwal
+et al. ("Deep reinforcement learning at the edge of the statistical precipice", NeurIPS 2021).
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -15,8 +17,11 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from hiersched.study.lognormal import mean_bounds
+
 LEVEL = 0.95
 RESAMPLES = 9999
+MOST_HALVINGS = 1000
 
 
 class Interval(NamedTuple):
@@ -53,40 +58,72 @@ def mean_interval(values: npt.ArrayLike, level: float = LEVEL) -> Interval:
     return Interval(mean, mean - half, mean + half)
 
 
-def bootstrap_interval(
-    values: npt.ArrayLike, level: float = LEVEL, *, resamples: int = RESAMPLES, seed: int = 0
+def skewed_interval(
+    values: npt.ArrayLike,
+    level: float = LEVEL,
+    *,
+    resolution: float = 0.0,
+    most: float = math.inf,
 ) -> Interval:
-    """Return the mean and its bias-corrected accelerated bootstrap interval (Efron 1987).
+    """Return the mean of values of 0 and above that are skewed, and its interval.
+
+    Generalised pivotal interval of the mean of a lognormal distribution, with zeros beside it where
+    there are any (see `lognormal`): for shares of late packets, whose spread is in their logarithm.
+    Student's t covers such means too rarely.
 
     Parameters
     ----------
     values
-        One value a seed, shape (n,). A NaN makes all of the result NaN.
+        One value a world, shape (n,). A NaN makes all of the result NaN.
     level
         Coverage.
-    resamples
-        Resamples.
-    seed
-        Of the resampling: the same values give the same interval.
-    """
-    from scipy.stats import bootstrap
+    resolution
+        Least value above 0 that a world can show. Where all values are 0 the upper bound is the
+        least mean that this many worlds tell from 0 (`smallest_mean`), and never less otherwise.
+    most
+        Greatest mean there can be, 1 for shares: bounds beyond it are cut.
 
+    Raises
+    ------
+    ValueError
+        If there is no value, or one below 0.
+    """
     sample = _sample(values)
     mean = float(sample.mean())
     if len(sample) < 2 or math.isnan(mean):
         return Interval(mean, math.nan, math.nan)
-    if np.ptp(sample) == 0.0:  # scipy has no BCa interval for equal values
+    if sample.min() < 0.0:
+        raise ValueError(f"values: {sample.min():g}, must be 0 or above")
+    positive = sample[sample > 0.0]
+    least = smallest_mean(len(sample), resolution, level)
+    if not positive.size:
+        return Interval(0.0, 0.0, min(least, most))
+    if len(positive) == len(sample) and np.ptp(sample) <= 1e-12 * mean:
         return Interval(mean, mean, mean)
-    result = bootstrap(
-        (sample,),
-        np.mean,
-        confidence_level=level,
-        n_resamples=resamples,
-        method="BCa",
-        rng=np.random.default_rng(seed),
-    )
-    bounds = result.confidence_interval
-    return Interval(mean, float(bounds.low), float(bounds.high))
+    lo, hi = mean_bounds(positive, len(sample) - len(positive), level)
+    if len(positive) == 1:  # one world alone does not bound the mean from below
+        lo = 0.0
+    return Interval(mean, min(lo, most), min(max(hi, least), most))
+
+
+def smallest_mean(count: int, resolution: float, level: float = LEVEL) -> float:
+    """Return the least mean over worlds that a run tells from 0, with worlds as units.
+
+    Whatever is seen in a share p of all worlds is seen in none of `count` worlds with probability
+    (1 - p)^count. Above p = 1 - (1 - level)^(1 / count) that is rarer than 1 - level; a world in
+    which it is seen shows at least `resolution`.
+
+    Parameters
+    ----------
+    count
+        Worlds, n.
+    resolution
+        Least value above 0 that a world can show. Of late packets: those of a batch, which come
+        and are late together, over all that are due.
+    level
+        Coverage.
+    """
+    return float((1.0 - (1.0 - level) ** (1.0 / count)) * resolution)
 
 
 def paired_difference(
@@ -97,18 +134,49 @@ def paired_difference(
     return mean_interval(a - b, level)
 
 
-def paired_ratio(values: npt.ArrayLike, baseline: npt.ArrayLike, level: float = LEVEL) -> Interval:
-    """Return the ratio of the means of paired samples with Fieller's interval.
-
-    The interval holds every ratio q for which the mean of values - q baseline does not differ
-    significantly from 0 (Fieller 1954). It needs no logarithm, so a value of 0 is no trouble; it is
-    unbounded where the baseline's own mean does not differ significantly from 0, and may reach
-    below 0 with few seeds.
+def log_ratios(
+    values: npt.ArrayLike, baseline: npt.ArrayLike, resolution: float = 0.0
+) -> npt.NDArray[np.float64]:
+    """Return the logarithm of the ratio of two positive measures, world by world.
 
     Parameters
     ----------
     values, baseline
         One value a world, shape (n,), in the same order of worlds.
+    resolution
+        Least value above 0 that a world can show: stands for values of 0, whose ratio it bounds
+        from above.
+
+    Returns
+    -------
+    ndarray
+        Shape (n,): NaN where a baseline is 0, or a value is and there is no resolution; 0 where
+        both are equal.
+    """
+    a, b = _pair(values, baseline)
+    shown = np.where(a > 0.0, a, resolution)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios: npt.NDArray[np.float64] = np.log(shown) - np.log(b)
+    ratios[~np.isfinite(ratios)] = math.nan
+    return ratios
+
+
+def paired_log_ratio(
+    values: npt.ArrayLike,
+    baseline: npt.ArrayLike,
+    level: float = LEVEL,
+    *,
+    resolution: float = 0.0,
+) -> Interval:
+    """Return the typical ratio of paired samples: geometric mean, Student t on its logarithm.
+
+    Where values are 0, the ratio and its upper bound are upper bounds (see `log_ratios`), and the
+    lower bound is 0. It is NaN where a ratio of some world has no logarithm at all.
+
+    Parameters
+    ----------
+    values, baseline, resolution
+        As for `log_ratios`.
     level
         Coverage.
 
@@ -117,22 +185,27 @@ def paired_ratio(values: npt.ArrayLike, baseline: npt.ArrayLike, level: float = 
     ValueError
         If the samples are empty or of different lengths.
     """
-    a, b = _pair(values, baseline)
-    n = len(a)
-    mean_a, mean_b = float(a.mean()), float(b.mean())
-    ratio = mean_a / mean_b if mean_b != 0.0 else math.nan
-    if n < 2 or not math.isfinite(ratio):
-        return Interval(ratio, math.nan, math.nan)
-    squared = _t_quantile(n, level) ** 2 / n
-    covariance = np.cov(a, b, ddof=1)
-    # (mean_a - q mean_b)^2 <= t^2 / n (s_aa - 2 q s_ab + q^2 s_bb), a quadratic inequality in q
-    leading = mean_b**2 - squared * float(covariance[1, 1])
-    if leading <= 0.0:
-        return Interval(ratio, -math.inf, math.inf)
-    middle = mean_a * mean_b - squared * float(covariance[0, 1])
-    constant = mean_a**2 - squared * float(covariance[0, 0])
-    root = math.sqrt(max(0.0, middle**2 - leading * constant))
-    return Interval(ratio, (middle - root) / leading, (middle + root) / leading)
+    mean, lo, hi = mean_interval(log_ratios(values, baseline, resolution), level)
+    if (_sample(values) == 0.0).any() and math.isfinite(lo):
+        lo = -math.inf
+    return Interval(math.exp(mean), math.exp(lo), _exp(hi))
+
+
+def halvings(count: int) -> list[tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]]:
+    """Return the ways to halve `count` seeds, each once: 126 for ten.
+
+    Halves of an odd number differ by one. Of more than `MOST_HALVINGS` ways, evenly spaced ones
+    are taken.
+    """
+    if count < 2:
+        return []
+    everything = frozenset(range(count))
+    half = count // 2
+    total = math.comb(count, half)
+    ways = total // 2 if count % 2 == 0 else total  # of even halves each way comes twice
+    step = max(1, math.ceil(ways / MOST_HALVINGS))
+    chosen = itertools.islice(itertools.combinations(range(count), half), 0, ways, step)
+    return [(np.array(part), np.array(sorted(everything - set(part)))) for part in chosen]
 
 
 def interquartile_mean(values: npt.ArrayLike) -> float:
@@ -299,3 +372,8 @@ def _standard_error(sample: npt.NDArray[np.float64]) -> float:
     if len(sample) < 2:
         return math.nan
     return float(sample.std(ddof=1)) / math.sqrt(len(sample))
+
+
+def _exp(value: float) -> float:
+    """Return e^x, infinite where no double can hold it."""
+    return math.inf if value > 709.0 else math.exp(value)

@@ -89,12 +89,14 @@ _POLICIES = {
 _LEARNED_COLOR = "#0072B2"
 _LEARNER_LOOKS = (
     ("#AA3377", (0, (5, 1.5)), "X"),
-    ("#117733", (0, (2, 1.2)), "v"),
-    ("#B8860B", (0, (6, 1.5, 1, 1.5)), "P"),
-    ("#56B4E9", (0, (1, 1)), "h"),
-    ("#3b3b3b", (0, (8, 2)), "<"),
+    ("#44AA99", (0, (2, 1.2)), "v"),
+    ("#B59D00", (0, (6, 1.5, 1, 1.5)), "P"),
+    ("#332288", (0, (1, 1)), "h"),
+    ("#661100", (0, (8, 2)), "<"),
 )
 """Of the learners besides the scenario's own, in their order; over again after the last."""
+CONTROL = Look("learns nothing", GREY, (0, (3, 1.5)), "d")
+"""Of learners whose actors stay as they start."""
 SLICES = {
     "embb": Look("eMBB", "#E69F00", (0, (4, 1.5)), "s"),
     "urllc": Look("URLLC", "#0072B2", "-", "o"),

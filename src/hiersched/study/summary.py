@@ -15,16 +15,15 @@ from hiersched.control import GainSchedule, spectral_radius_by_delay
 from hiersched.scenario import Scenario
 from hiersched.simulator.gains import plant_of
 from hiersched.study.collect import BASELINE, read_evaluation, violation_column
+from hiersched.study.intervals import measure_interval, resolution, smallest_late_share
 from hiersched.study.paper import TABLE2, TABLE3
 from hiersched.study.standing import best_classical, standing
 from hiersched.study.statistics import (
     Interval,
-    bootstrap_interval,
-    interquartile_mean,
     interval_columns,
     mean_interval,
     paired_difference,
-    paired_ratio,
+    paired_log_ratio,
 )
 
 LEADING_MEASURES = (
@@ -45,14 +44,13 @@ LEADING_MEASURES = (
     "embb_delay_p99_s",
     "embb_delay_p999_s",
     "off_track_share",
+    "mean_square_backlog",
 )
 TRAILING_MEASURES = (
     "delay_steps",
     "delay_capped_share",
     "arrival_clamped_share",
     "control_saturations_per_s",
-    "drift_plus_penalty_cost",
-    "drift_cost",
     "penalty_cost",
 )
 COMPARED = (
@@ -65,7 +63,8 @@ COMPARED = (
     "urllc_delay_p99_s",
     "tracking_error_cm",
     "off_track_share",
-    "drift_plus_penalty_cost",
+    "mean_square_backlog",
+    "penalty_cost",
 )
 
 
@@ -75,7 +74,9 @@ def measures(scenario: Scenario) -> list[str]:
     return [*LEADING_MEASURES, *violating, *TRAILING_MEASURES]
 
 
-def summarise(runs: pd.DataFrame, by: Sequence[str], names: Sequence[str]) -> pd.DataFrame:
+def summarise(
+    runs: pd.DataFrame, by: Sequence[str], names: Sequence[str], scenario: Scenario
+) -> pd.DataFrame:
     """Return the mean of each measure over a group's seeds, and its interval as ``_lo``, ``_hi``.
 
     Parameters
@@ -86,44 +87,45 @@ def summarise(runs: pd.DataFrame, by: Sequence[str], names: Sequence[str]) -> pd
         Columns that make up a group; groups keep the order of the rows.
     names
         Measures.
+    scenario
+        Of the runs.
     """
     rows = []
     for key, group in runs.groupby(list(by), sort=False):
         row: dict[str, Any] = dict(zip(by, key, strict=True))
         row["seeds"] = len(group)
         for name in names:
-            row |= interval_columns(name, mean_interval(group[name].to_numpy(dtype=np.float64)))
+            row |= interval_columns(name, measure_interval(name, group, scenario))
         rows.append(row)
     return pd.DataFrame(rows)
 
 
 def policy_table(runs: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
-    """Return one row a policy: all measures over the evaluation's worlds.
+    """Return one row a policy: all measures over the evaluation's worlds, medians beside means.
 
-    The late share of URLLC packets, skewed and often close to 0, also has its interquartile mean
-    and the bounds of a bootstrap interval of its mean, which stay within the values' range. How the
+    `urllc_late_share_smallest` is the least late share that these worlds tell from 0. How the
     policy stands against the best classical scheduler comes from `standing.standing`.
     """
-    table = summarise(runs, ["policy"], measures(scenario))
-    late = "urllc_late_share"
-    samples = [group.to_numpy(np.float64) for _, group in runs.groupby("policy", sort=False)[late]]
-    boot = [bootstrap_interval(sample) for sample in samples]
-    table[f"{late}_iqm"] = [interquartile_mean(sample) for sample in samples]
-    table[f"{late}_boot_lo"] = [interval.lo for interval in boot]
-    table[f"{late}_boot_hi"] = [interval.hi for interval in boot]
+    names = measures(scenario)
+    table = summarise(runs, ["policy"], names, scenario)
+    groups = [group for _, group in runs.groupby("policy", sort=False)]
+    medians = {f"{name}_median": [float(g[name].median()) for g in groups] for name in names}
+    smallest = [smallest_late_share(group, scenario) for group in groups]
+    medians["urllc_late_share_smallest"] = smallest
+    table = pd.concat([table, pd.DataFrame(medians)], axis=1)
     return table.merge(standing(runs), on="policy")
 
 
 def sweep_table(runs: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
     """Return one row an axis, value and policy: all measures over the sweep's worlds."""
-    return summarise(runs, ["axis", "value", "policy"], measures(scenario))
+    return summarise(runs, ["axis", "value", "policy"], measures(scenario), scenario)
 
 
-def comparison_table(runs: pd.DataFrame) -> pd.DataFrame:
+def comparison_table(runs: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
     """Compare every policy with PF, then with the best classical scheduler, in the same worlds.
 
-    Ratios of means and mean differences; intervals are Fieller's for the ratio and Student's for
-    the difference.
+    Typical ratios and mean differences; both intervals are Student's, that of the ratio on its
+    logarithm.
     """
     policies = list(dict.fromkeys(runs["policy"]))
     baselines = [name for name in (BASELINE, best_classical(runs)) if name in policies]
@@ -132,13 +134,15 @@ def comparison_table(runs: pd.DataFrame) -> pd.DataFrame:
         for baseline in dict.fromkeys(baselines)
         for policy in policies
         if policy != baseline
-        for row in _compared(runs, str(policy), str(baseline))
+        for row in _compared(runs, str(policy), str(baseline), scenario)
     ]
     columns = ["policy", "baseline", "measure"]
     return pd.DataFrame(rows) if rows else pd.DataFrame(columns=columns)
 
 
-def _compared(runs: pd.DataFrame, policy: str, baseline: str) -> list[dict[str, Any]]:
+def _compared(
+    runs: pd.DataFrame, policy: str, baseline: str, scenario: Scenario
+) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     own, other = (runs[runs["policy"] == name].set_index("seed") for name in (policy, baseline))
     if list(own.index) != list(other.index):
@@ -153,7 +157,9 @@ def _compared(runs: pd.DataFrame, policy: str, baseline: str) -> list[dict[str, 
                 "seeds": len(a),
                 "mean": float(a.mean()),
                 "baseline_mean": float(b.mean()),
-                **interval_columns("ratio", paired_ratio(a, b)),
+                **interval_columns(
+                    "ratio", paired_log_ratio(a, b, resolution=resolution(name, own, scenario))
+                ),
                 **interval_columns("difference", paired_difference(a, b)),
                 "seeds_below_baseline": int((a < b).sum()),
             }
@@ -178,7 +184,7 @@ def gain_table(gains: pd.DataFrame) -> pd.DataFrame:
                 "slot": slot,
                 "nominal_cm": float(nominal.mean()),
                 "adjusted_cm": float(adjusted.mean()),
-                **interval_columns("ratio", paired_ratio(adjusted, nominal)),
+                **interval_columns("ratio", paired_log_ratio(adjusted, nominal)),
                 **_bounds("nominal_cm", mean_interval(nominal)),
                 **_bounds("adjusted_cm", mean_interval(adjusted)),
                 "seeds": len(by_gain),
@@ -230,7 +236,7 @@ def rate_table(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
                 )
         if len(rates) == 2:
             own, other = (rates[p][:, at].mean(axis=1) for p in (learned, BASELINE))
-            row |= interval_columns("ratio", paired_ratio(own, other))
+            row |= interval_columns("ratio", paired_log_ratio(own, other))
         for field in ("channel_gain", "drl_mbps", "pf_mbps"):
             row[f"paper_{field}"] = getattr(printed, field) if printed else math.nan
         rows.append(row)

@@ -26,6 +26,7 @@ from hiersched.study.gain_summary import (
     stability_table,
     sweeps_table,
 )
+from hiersched.study.intervals import INTERVAL_NOTE
 from hiersched.study.learners import differing_keys, learner_table
 from hiersched.study.paper import SYMBOLS
 from hiersched.study.standing import (
@@ -44,10 +45,14 @@ from hiersched.study.summary import (
 )
 
 _SEEDS = "Means over seeds, in brackets their Student t 95 % intervals."
+_MEDIAN = "`…_median`: over worlds."
 _LEARNED = (
     "The learned policy has one trained policy a world: its intervals mix training seed and world."
 )
-_FIELLER = "Ratios are of means over the same worlds, in brackets Fieller's 95 % interval."
+_RATIO = (
+    "Ratios are geometric means over the same worlds, in brackets Student's 95 % interval of their "
+    "logarithms."
+)
 _TROUBLE = (
     "Shares of robots: `off_track`, over 10 cm in a window; `saturated`, at a control limit for "
     "half of one. All robots are in the means."
@@ -61,49 +66,53 @@ TITLES = {
     "table2_gain": (
         "Table II: tracking error in the windows of violated delay",
         f"{_SEEDS} Root mean square over a window, mean over robots; slot 1 is the first window. "
-        f"{_FIELLER} The paper gives no unit: only its ratio compares.",
+        f"{_RATIO} The paper gives no unit: only its ratio compares.",
     ),
     "table2_methods": (
         "Tracking error in every window of the gain study, by method",
-        f"{_SEEDS} {_FIELLER}",
+        f"{_SEEDS} {_RATIO}",
     ),
     "table3_rate": (
         "Table III: mean data rate of the URLLC users",
         f"{_SEEDS} Slot 1 is the first slot of a run; `mean` is over the whole run. The channel "
         "gain is the mean of |h|² over URLLC users and PRBs, 2 s² in expectation; the paper does "
-        f"not define its own. {_FIELLER}",
+        f"not define its own. {_RATIO}",
     ),
     "policies": (
         "Policies in the same worlds",
-        f"{_SEEDS} Delays are of delivered packets; packets that still wait count in the late "
-        "shares alone. An interval of a share may reach below 0: it is symmetric; the CSV also has "
-        "the interquartile mean of the URLLC late share and its bootstrap interval (BCa), which "
-        f"does not, and more columns. {_LEARNED}",
+        f"{INTERVAL_NOTE} {_MEDIAN} `urllc_late_share_smallest`: the least late share that these "
+        "worlds tell from 0. `mean_square_backlog`: time average of ½ΣF² [packets²]. Delays are of "
+        "delivered packets; packets that still wait count in the late shares alone. "
+        "`backlog_over_best`, `improvement`: mean square backlog over that of the best classical "
+        "scheduler, and the probability that it is less in another world. The CSV has more "
+        f"columns. {_LEARNED}",
     ),
     "comparison": (
         "Policies against PF, and against the best classical scheduler, in the same worlds",
-        f"{_FIELLER} Differences with Student t 95 % intervals. A ratio's interval is unbounded "
-        f"where the baseline's own mean does not differ significantly from 0. {_LEARNED}",
+        f"{_RATIO} Where a policy has a share of 0 in a world, the least share that it could show "
+        "stands for it: ratio and upper bound are then upper bounds, and the lower bound is 0. A "
+        "dash: the baseline is 0 in a world. Differences with Student t 95 % intervals. "
+        f"{_LEARNED}",
     ),
     "sweeps": (
         "Sweeps: one axis varied at a time",
-        f"{_SEEDS} The CSV has more columns.",
+        f"{INTERVAL_NOTE} The CSV has more columns.",
     ),
     "gain_methods": (
         "Gain study: every method against the nominal gain, in the same worlds",
-        f"{_SEEDS} {_FIELLER} `violated` and `calm`: all such slots. `delay_steps`, `status`, "
+        f"{_SEEDS} {_RATIO} `violated` and `calm`: all such slots. `delay_steps`, `status`, "
         "`certified`: the delays there, the gains in force at them and how many of these are "
         "certified; gains follow the delay, so a method may also differ from the nominal gain in "
         f"calm slots. {_TROUBLE}",
     ),
     "gain_grid": (
         "Gain study: weight q against a constant delay in the violated window",
-        f"{_SEEDS} {_FIELLER} `effect`: helps or hurts where that interval excludes 1, `same gain` "
+        f"{_SEEDS} {_RATIO} `effect`: helps or hurts where that interval excludes 1, `same gain` "
         f"where the nominal gain stays in force. {_TROUBLE}",
     ),
     "gain_sweeps": (
         "Gain study: sampling interval and measurement noise",
-        f"{_SEEDS} {_FIELLER} The first unstable constant delay is of the nominal gain, by the "
+        f"{_SEEDS} {_RATIO} The first unstable constant delay is of the nominal gain, by the "
         "spectral radius of the lifted system; a dash: none up to the longest delay with a gain. "
         f"{_TROUBLE}",
     ),
@@ -116,27 +125,28 @@ TITLES = {
     ),
     "learners": (
         "Learners along the load, against the scenario's own",
-        f"{_SEEDS} `differs`: keys of the section `learning` that are not the scenario's. Columns "
-        "`…_minus_own`: paired differences from the scenario's own learner, world by world and "
-        "training seed by training seed.",
+        f"{INTERVAL_NOTE} `differs`: keys of the section `learning` that are not the scenario's. "
+        "Columns `…_minus_own`, `…_over_own`: paired differences from the scenario's own learner, "
+        "and typical ratios, world by world and training seed by training seed.",
     ),
     "scores": (
         "Policies over all loads",
-        "Score: (cost of PF − own cost) / (cost of PF − cost of the best classical scheduler of "
-        "the load); 0 is PF, 1 the best. Interquartile mean over worlds and loads, stratified "
-        "bootstrap 95 % interval with the loads as strata. `cheaper_worlds`: share of worlds in "
-        "which the policy costs less than the best classical scheduler of the load.",
+        "Score: log(PF / own) / log(PF / best classical scheduler of the load) of mean square "
+        "backlogs; 0 is PF, 1 the best. Interquartile mean over worlds and loads, stratified "
+        "bootstrap 95 % interval with the loads as strata. `shorter_worlds`: share of worlds in "
+        "which the policy's mean square backlog is below that of the best classical scheduler.",
     ),
     "generalisation": (
         "Trained policies where they were not trained",
-        f"{_SEEDS} Cells: URLLC users, eMBB users, PRBs. `cost_over_best`: cost a slot above that "
-        "of the best classical scheduler there, world by world. Sweeps: other loads and scales.",
+        f"{INTERVAL_NOTE} Cells: URLLC users, eMBB users, PRBs. `backlog_over_best`: mean square "
+        "backlog over that of the best classical scheduler there, world by world. Sweeps: other "
+        "loads and scales.",
     ),
     "bound": (
         "Distance from the exact optimum of a slot",
         "`gap`: drift-plus-penalty Lagrangian of the decision minus that of the exact optimum in "
         "the same state, mean and Student t 95 % interval over worlds. `uncertified`: what the "
-        "solver's bound leaves open. `first_gap`: cost of giving everyone the first PRB greedily "
+        "solver's bound leaves open. `first_gap`: sum from giving everyone the first PRB greedily "
         "minus exactly; `first_log_rate_gap`: the same for minus the logarithm of the rates.",
     ),
     "gains": (
@@ -156,12 +166,21 @@ _READ_MEASURES = (
     "urllc_delay_p99_s",
     "tracking_error_cm",
     "dexterity_index",
+    "mean_square_backlog",
+    "penalty_cost",
 )
+_MEDIANS = ("urllc_late_share", "embb_late_share", "mean_square_backlog")
 _READ_INTERVALS = [f"{name}{end}" for name in _READ_MEASURES for end in ("", "_lo", "_hi")]
 READ_COLUMNS = {
     "policies": [
         *["policy", "seeds", *_READ_INTERVALS],
-        *[f"{name}{end}" for name in ("cost_iqm", "improvement") for end in ("", "_lo", "_hi")],
+        *[f"{name}_median" for name in _MEDIANS],
+        "urllc_late_share_smallest",
+        *[
+            f"{name}{end}"
+            for name in ("backlog_over_best", "improvement")
+            for end in ("", "_lo", "_hi")
+        ],
         "best_classical",
     ],
     "sweeps": ["axis", "value", "policy", *_READ_INTERVALS],
@@ -209,11 +228,11 @@ def write_tables(
         "table2_methods": gains,
         "table3_rate": rate_table(results, scenario),
         "policies": policy_table(evaluation, scenario),
-        "comparison": comparison_table(evaluation),
+        "comparison": comparison_table(evaluation, scenario),
         "sweeps": sweep_table(sweeps, scenario),
         "scores": score_table(evaluation, sweeps),
         "learners": learner_table(sweeps, scenario),
-        "generalisation": generalisation_table(elsewhere),
+        "generalisation": generalisation_table(elsewhere, scenario),
         "bound": bound_table(bound_frame(results)),
         "gains": schedule_table(gain_schedules(results, scenario), scenario),
         "gain_methods": methods_table(results, scenario),
@@ -286,15 +305,23 @@ def markdown_text(table: pd.DataFrame, title: str, note: str) -> str:
 
 
 def interval_text(mean: float, lo: float, hi: float) -> str:
-    """Return a mean and its interval with two digits of the half width."""
+    """Return a mean and its interval, to two digits of its half width or of each number.
+
+    A mean of 0 is given by its upper bound.
+    """
     if not math.isfinite(mean):
         return "–"
     if not (math.isfinite(lo) and math.isfinite(hi)):
         return cell_text(mean) if math.isnan(lo) else f"{cell_text(mean)} [unbounded]"
     half = (hi - lo) / 2.0
-    if half < 1e-12 * max(1.0, abs(mean)):
+    if half <= 1e-12 * abs(mean):
         return f"{cell_text(mean)} [±0]"
-    decimals = min(9, max(0, 1 - math.floor(math.log10(half))))
+    if mean == lo == 0.0:
+        return f"< {hi:.2g}"
+    decimals = 1 - math.floor(math.log10(half))
+    if decimals > 6 or hi > 30.0 * abs(mean):  # tiny, or far from symmetric: each with its digits
+        return f"{mean:.3g} [{lo:.2g}, {hi:.2g}]"
+    decimals = max(0, decimals)
     return f"{mean:.{decimals}f} [{lo:.{decimals}f}, {hi:.{decimals}f}]"
 
 

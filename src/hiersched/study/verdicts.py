@@ -10,7 +10,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from hiersched.study.statistics import Interval
+import numpy as np
+from numpy.typing import NDArray
+
+from hiersched.study.statistics import Interval, halvings
 
 Outcome = Literal["holds", "contradicted", "open"]
 Verdict = Literal["reproduced", "not reproduced", "depends", "not judged"]
@@ -21,17 +24,23 @@ RULE = (
     "unbounded or a number is missing. A claim holds under a condition where all its statements "
     "hold, and is contradicted where one is. It is reproduced where it holds under the scenario "
     "as configured and no sensitivity run contradicts it; not reproduced where it does not hold "
-    "there nor in any sensitivity run; it depends in all other cases. Classical schedulers are "
-    "shown beside the learned policies and do not count."
+    "there nor in any sensitivity run; it depends in all other cases. It also depends where fewer "
+    "than 95 % of the ways to halve the seeds (126 for ten) agree: both halves have to put the "
+    "estimates on the same side of the claim as all seeds do. Classical schedulers and controls "
+    "that learn nothing are shown beside the learned policies and do not count."
 )
+
+AGREEING = 0.95
+"""Least share of the halvings that agree on a verdict that stands."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Statement:
     """A number, its interval and the open range that the claim puts it into.
 
-    `effect` is the standardised effect: mean over standard deviation of the paired differences, or
-    of the values where nothing is paired.
+    `effect` is the standardised effect: mean over standard deviation of `values`, one a seed, whose
+    mean is the estimate: the numbers or paired differences themselves, or, of ratios, their
+    `logarithms`.
     """
 
     name: str
@@ -40,7 +49,18 @@ class Statement:
     above: float = -math.inf
     below: float = math.inf
     effect: float
-    count: int
+    values: tuple[float, ...] = ()
+    logarithms: bool = False
+
+    @property
+    def count(self) -> int:
+        """Seeds."""
+        return len(self.values)
+
+    def claimed_by(self, seeds: NDArray[np.intp]) -> bool:
+        """Whether the estimate from some of the seeds alone lies within the claimed range."""
+        estimate = float(np.mean(np.asarray(self.values)[seeds]))
+        return self.above < (math.exp(estimate) if self.logarithms else estimate) < self.below
 
     @property
     def outcome(self) -> Outcome:
@@ -75,11 +95,30 @@ class Condition:
             return "contradicted"
         return "open" if "open" in outcomes or not outcomes else "holds"
 
+    @property
+    def agreement(self) -> float:
+        """Share of the halvings of the seeds of which both halves agree with all seeds; else NaN.
+
+        A part agrees where its estimates are all within their claimed ranges, or one is not, as
+        those of all seeds. NaN for a single seed, or none.
+        """
+        ways = halvings(min((s.count for s in self.statements), default=0))
+        if not ways or len({s.count for s in self.statements}) > 1:
+            return math.nan
+
+        def claimed(seeds: NDArray[np.intp]) -> bool:
+            return all(statement.claimed_by(seeds) for statement in self.statements)
+
+        whole = claimed(np.arange(self.statements[0].count))
+        return sum(claimed(a) == claimed(b) == whole for a, b in ways) / len(ways)
+
 
 def verdict_of(base: Condition, others: Sequence[Condition]) -> Verdict:
     """Return the verdict by `RULE`; without any statement there is none."""
     if not base.statements:
         return "not judged"
+    if base.agreement < AGREEING:
+        return "depends"
     outcomes = [condition.outcome for condition in others if condition.counts]
     if base.outcome == "holds":
         return "depends" if "contradicted" in outcomes else "reproduced"
