@@ -16,7 +16,7 @@ from hiersched.control import (
     synthesise_razumikhin,
 )
 from hiersched.control.krasovskii_fixed import FixedFunctional
-from hiersched.control.razumikhin import LargestMargin
+from hiersched.control.razumikhin_synthesis import LargestMargin
 
 
 def test_every_public_name_is_there():

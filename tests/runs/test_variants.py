@@ -47,7 +47,7 @@ def test_a_sweep_changes_one_key(tiny: Scenario, axis: str) -> None:
         traffic["embb_offered_mbps"] = pytest.approx(28.2)
         traffic["urllc_offered_mbps"] = pytest.approx([18.8 * 20 / 25, 18.8 * 30 / 25])
     elif axis == "service_coefficient_mbps":  # the last: at the longest sampling interval
-        assert value == "2_0.04"
+        assert value == "beta2_h0.04"
         expected["traffic"]["service_coefficient_mbps"] = 2.0
         expected["control"]["sampling_s"] = 0.04
     else:

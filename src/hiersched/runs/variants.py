@@ -11,7 +11,7 @@ import numpy as np
 
 from hiersched.scenario import Scenario, ScenarioError
 from hiersched.scenario.consistency import inconsistencies
-from hiersched.scenario.schema import Control, GainMethod, Users
+from hiersched.scenario.schema import Control, GainMethod, Users, hold_of
 
 SWEPT_KEYS = {
     "rayleigh_scale": "radio.rayleigh_scale",
@@ -61,8 +61,14 @@ def swept_values(scenario: Scenario, axis: str) -> tuple[float | str, ...]:
     if axis == "service_coefficient_mbps":
         intervals = scenario.sweeps.sampling_s
         ends = dict.fromkeys((min(intervals), max(intervals)))
-        return tuple(f"{value_text(v)}_{value_text(h)}" for v in values for h in ends)
+        return tuple(f"beta{value_text(v)}_h{value_text(h)}" for v in values for h in ends)
     return values
+
+
+def crossed_value(value: str) -> tuple[str, str]:
+    """Coefficient beta and sampling interval of a point of the axis service_coefficient_mbps."""
+    coefficient, sampling_s = value.split("_")
+    return coefficient.removeprefix("beta"), sampling_s.removeprefix("h")
 
 
 def swept_policies(scenario: Scenario, axis: str) -> tuple[str, ...]:
@@ -88,7 +94,7 @@ def swept_scenario(scenario: Scenario, axis: str, value: float | str) -> Scenari
     if axis == "load_ratio":
         variant = _with_load_ratio(scenario, float(value))
     elif axis == "service_coefficient_mbps":
-        coefficient, sampling_s = map(float, str(value).split("_"))
+        coefficient, sampling_s = map(float, crossed_value(str(value)))
         variant = replace(
             scenario,
             traffic=replace(scenario.traffic, service_coefficient_mbps=coefficient),
@@ -182,10 +188,12 @@ def study_scenario(scenario: Scenario, method: GainMethod, gain: Gain) -> Scenar
 def _study_control(own: Control, method: GainMethod) -> Control:
     """Return the section `control` with a method of the gain study and the plant that it is for.
 
-    A linear plant stays what it is; predictors are not held.
+    A linear plant stays what it is; predictors are not held, and what has replaced a predictor is
+    held as usual.
     """
     plant = own.plant if own.plant == "linear" else STUDY_PLANTS[method]
-    hold_samples = 0 if method == "predictor" else own.hold_samples
+    either = "predictor" in (method, own.method)
+    hold_samples = hold_of(method) if either else own.hold_samples
     return replace(own, method=method, plant=plant, hold_samples=hold_samples)
 
 

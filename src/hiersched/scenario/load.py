@@ -15,7 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from hiersched.scenario.consistency import inconsistencies
 from hiersched.scenario.reference_file import ReferenceFileError, read_reference
-from hiersched.scenario.schema import Scenario
+from hiersched.scenario.schema import Scenario, hold_of
 
 CONFIG = Path("config")
 _KEY_LINE = re.compile(
@@ -217,6 +217,15 @@ def _with_learners(merged: dict[str, Any]) -> dict[str, Any]:
     return {**merged, "learners": whole}
 
 
+def _with_hold(merged: dict[str, Any]) -> dict[str, Any]:
+    """Fill in how long gains are held: a schedule's for a while, those of a predictor never."""
+    control = merged.get("control")
+    if not isinstance(control, dict) or control.get("hold_samples", 0) is not None:
+        return merged
+    samples = hold_of(str(control.get("method")))
+    return {**merged, "control": {**control, "hold_samples": samples}}
+
+
 def load_scenario(name_or_path: str | Path, *, defaults: Path | None = None) -> Scenario:
     """Load, merge and validate a scenario.
 
@@ -240,7 +249,7 @@ def load_scenario(name_or_path: str | Path, *, defaults: Path | None = None) -> 
     overlay = _read_yaml(path)
     merged = _with_learners(_with_points(_merge(_read_yaml(defaults), overlay), path))
     merged.setdefault("name", path.stem)
-    return _validate(merged, overlay, path, defaults)
+    return _validate(_with_hold(merged), overlay, path, defaults)
 
 
 def _validate(
@@ -296,7 +305,7 @@ def load_resolved(text: str, origin: Path) -> tuple[Scenario, tuple[str, ...], s
     if not missing:
         return _validate(written, written, origin, origin), (), sha256
     defaults = _find_defaults(origin)
-    merged = _with_learners(_merge(_read_yaml(defaults), written))
+    merged = _with_hold(_with_learners(_merge(_read_yaml(defaults), written)))
     return _validate(merged, written, origin, defaults), tuple(missing), sha256
 
 

@@ -347,6 +347,15 @@ class Scenario:
         return delay_steps(self.control.max_delay_s, self.control.sampling_s)
 
 
+def hold_of(method: str) -> int:
+    """Return for how many samples gains of a method are held unless told otherwise.
+
+    A gain for a long delay that stays for a while keeps a loop that delays make switch every few
+    samples from growing. A prediction over T samples is right for the delay T alone.
+    """
+    return 0 if method == "predictor" else 5
+
+
 def checkpoint_rounds(learning: Learning) -> tuple[int, ...]:
     """Return the rounds after which policies run without noise: from 0, the start, to the last."""
     rounds = learning.episodes // learning.num_envs

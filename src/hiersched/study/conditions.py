@@ -8,7 +8,7 @@ from typing import NamedTuple, TypeAlias
 
 import pandas as pd
 
-from hiersched.runs.variants import SWEPT_KEYS
+from hiersched.runs.variants import SWEPT_KEYS, crossed_value
 from hiersched.scenario import Scenario
 from hiersched.study.verdicts import Condition, Statement
 
@@ -178,9 +178,11 @@ def by_coefficient(frames: Frames, scenario: Scenario, measure: Measure) -> tupl
     along = frames.sweeps[frames.sweeps["axis"] == "service_coefficient_mbps"]
     if along.empty or own not in set(along["policy"]):
         return ()
-    points = along["value"].astype(str).str.split("_", expand=True)
+    points = [crossed_value(value) for value in along["value"]]
+    coefficients = pd.Series([point[0] for point in points], index=along.index)
+    along = along.assign(value=[point[1] for point in points])
     conditions = []
-    for coefficient, rows in along.assign(value=points[1]).groupby(points[0], sort=False):
+    for coefficient, rows in along.groupby(coefficients, sort=False):
         enough = rows["value"].nunique() > 1
         conditions.append(
             Condition(

@@ -54,7 +54,7 @@ def _draw_shares(
     """One row a policy, the most late packets at the bottom."""
     late = "urllc_late_share"
     table = policies.sort_values(late, ascending=False, kind="stable").reset_index(drop=True)
-    floor = zero_floor(runs[late])
+    floor = zero_floor([*runs[late], *policies[f"{late}_hi"]])
     learned = scenario.learning.algorithm
     for row, line in enumerate(table.to_dict("records")):
         look = policy_look(str(line["policy"]), scenario.learned)

@@ -123,7 +123,9 @@ def draw_learners(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     axes = [axis for row in figure.subplots(2, 2, squeeze=False) for axis in row]
     loads = np.arange(len(scenario.sweeps.load))
     for panel, (measure, title, label), letter in zip(axes, LOAD_PANELS, "abcd", strict=True):
-        floor = zero_floor(table[measure]) if measure == "urllc_late_share" else None
+        floor = (
+            zero_floor(table[[measure, f"{measure}_hi"]]) if measure == "urllc_late_share" else None
+        )
         for number, policy in enumerate(policies):
             own = table[table["policy"] == policy]
             bounds = own[f"{measure}_lo"], own[f"{measure}_hi"]

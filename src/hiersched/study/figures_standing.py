@@ -47,7 +47,9 @@ def draw_load(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     policies = [str(policy) for policy in dict.fromkeys(table["policy"])]
     loads = [float(load) for load in scenario.sweeps.load]
     for panel, (measure, title, label), letter in zip(axes, LOAD_PANELS, "abcd", strict=True):
-        floor = zero_floor(table[measure]) if measure == "urllc_late_share" else None
+        floor = (
+            zero_floor(table[[measure, f"{measure}_hi"]]) if measure == "urllc_late_share" else None
+        )
         for policy in policies:
             own = table[table["policy"] == policy]
             bounds = own[f"{measure}_lo"], own[f"{measure}_hi"]
@@ -119,7 +121,7 @@ def draw_pareto(policies: pd.DataFrame, scenario: Scenario) -> Figure:
     """Draw every policy by its eMBB rate and its URLLC violations, and its tracking error."""
     figure, axes = new_figure(height_in=1.15 * PANEL_HEIGHT_IN)
     late, rate = "urllc_late_share", "embb_rate_mbps"
-    floor = zero_floor(policies[late])
+    floor = zero_floor(policies[[late, f"{late}_hi"]])
     for line in policies.to_dict("records"):
         look = _look(str(line["policy"]), scenario)
         for panel, measure in zip(axes, (late, "tracking_error_cm"), strict=True):
@@ -226,7 +228,7 @@ def draw_generalise(table: pd.DataFrame, scenario: Scenario) -> Figure:
     values = list(dict.fromkeys(cells["value"]))
     policies = [str(policy) for policy in dict.fromkeys(cells["policy"])]
     late = "urllc_late_share"
-    floor = zero_floor(cells[late])
+    floor = zero_floor(cells[[late, f"{late}_hi"]])
     for number, policy in enumerate(policies):
         own = cells[cells["policy"] == policy].set_index("value").loc[values]
         x = np.arange(len(values)) + 0.11 * (number - 0.5 * (len(policies) - 1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, get_args
@@ -16,7 +17,6 @@ from hiersched.study.collect import BASELINE
 from hiersched.study.intervals import measure_interval
 from hiersched.study.statistics import (
     Interval,
-    interquartile_interval,
     interval_columns,
     mean_interval,
     paired_log_ratio,
@@ -78,8 +78,8 @@ def score_table(runs: pd.DataFrame, sweeps: pd.DataFrame) -> pd.DataFrame:
     """Return how policies stand over all loads together.
 
     The score of a policy in a world is log(PF / its own) / log(PF / that of the best classical
-    scheduler at this load), of mean square backlogs, the denominator averaged over worlds: 0 as PF,
-    1 as the best, more where its queues are shorter. Strata of the bootstrap are the loads.
+    scheduler of the load), of mean square backlogs, both logarithms summed over the loads and the
+    lower one averaged over worlds: 0 as PF, 1 as the best, more where its queues are shorter.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def score_table(runs: pd.DataFrame, sweeps: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Columns policy, loads, seeds, score_iqm (_lo, _hi), shorter_worlds: the share of worlds in
+        Columns policy, loads, seeds, score (_lo, _hi), shorter_worlds: the share of worlds in
         which its mean square backlog is below that of the best classical scheduler of the load.
     """
     along = sweeps[sweeps["axis"] == "load"]
@@ -99,20 +99,22 @@ def score_table(runs: pd.DataFrame, sweeps: pd.DataFrame) -> pd.DataFrame:
         return pd.DataFrame(columns=["policy", "loads", "seeds"])
     rows = []
     for policy in dict.fromkeys(runs["policy"]):
-        strata, shorter = [], []
+        gains, best_gains, shorter = [], [], []
         for _, group in along.groupby("value", sort=False):
             backlog = group.pivot(index="seed", columns="policy", values=BACKLOG)
-            best, baseline = best_classical(group), backlog[BASELINE]
+            best = best_classical(group)
             if policy not in backlog or best is None:
                 continue
-            gain = np.log(baseline / backlog[best]).mean()
-            strata.append((np.log(baseline / backlog[policy]) / gain).to_numpy(np.float64))
-            shorter.append((backlog[policy] < backlog[best]).to_numpy())
-        if strata:
-            score = interquartile_interval(strata)
-            row = {"policy": policy, "loads": len(strata), "seeds": len(strata[0])}
-            share = float(np.concatenate(shorter).mean())
-            rows.append({**row, **interval_columns("score_iqm", score), "shorter_worlds": share})
+            logs = {name: np.log(backlog[name].to_numpy()) for name in (BASELINE, policy, best)}
+            gains.append(logs[BASELINE] - logs[policy])
+            best_gains.append(logs[BASELINE] - logs[best])
+            shorter.append(logs[policy] < logs[best])
+        if gains:
+            most = float(np.sum(best_gains, axis=0).mean())
+            scores = np.sum(gains, axis=0) / (most if most > 0.0 else math.nan)
+            row = {"policy": policy, "loads": len(gains), "seeds": len(scores)}
+            row |= interval_columns("score", mean_interval(scores))
+            rows.append({**row, "shorter_worlds": float(np.concatenate(shorter).mean())})
     return pd.DataFrame(rows)
 
 

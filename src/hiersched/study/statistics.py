@@ -3,13 +3,12 @@
 Seeds are few: means of what is roughly symmetric get Student's t interval, means of skewed measures
 such as late shares the generalised pivotal one of a lognormal mean. Comparisons are paired: the
 i-th value of both samples comes from the same world; of positive measures they are ratios, by their
-logarithms. Interquartile mean, stratified bootstrap and probability of improvement follow Agarwal
-et al. ("Deep reinforcement learning at the edge of the statistical precipice", NeurIPS 2021).
+logarithms. The probability of improvement follows Agarwal et al. ("Deep reinforcement learning at
+the edge of the statistical precipice", NeurIPS 2021).
 """
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -18,6 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hiersched.study.lognormal import mean_bounds
+
+IntArray = npt.NDArray[np.intp]
 
 LEVEL = 0.95
 RESAMPLES = 9999
@@ -69,7 +70,8 @@ def skewed_interval(
 
     Generalised pivotal interval of the mean of a lognormal distribution, with zeros beside it where
     there are any (see `lognormal`): for shares of late packets, whose spread is in their logarithm.
-    Student's t covers such means too rarely.
+    Student's t covers such means too rarely. The estimate is the sample mean; it always lies within
+    the bounds, which logarithms with a long lower tail could put beyond it.
 
     Parameters
     ----------
@@ -103,7 +105,7 @@ def skewed_interval(
     lo, hi = mean_bounds(positive, len(sample) - len(positive), level)
     if len(positive) == 1:  # one world alone does not bound the mean from below
         lo = 0.0
-    return Interval(mean, min(lo, most), min(max(hi, least), most))
+    return Interval(mean, min(lo, mean), min(max(hi, mean, least), most))
 
 
 def smallest_mean(count: int, resolution: float, level: float = LEVEL) -> float:
@@ -191,67 +193,25 @@ def paired_log_ratio(
     return Interval(math.exp(mean), math.exp(lo), _exp(hi))
 
 
-def halvings(count: int) -> list[tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]]:
-    """Return the ways to halve `count` seeds, each once: 126 for ten.
+def halvings(count: int) -> list[tuple[IntArray, IntArray]]:
+    """Return the ways to halve `count` seeds, each once: 126 for ten, none for fewer than two.
 
-    Halves of an odd number differ by one. Of more than `MOST_HALVINGS` ways, evenly spaced ones
-    are taken.
+    Halves of an odd number differ by one. Of more than `MOST_HALVINGS` ways in lexicographic order,
+    as many evenly spaced ones are taken.
+
+    Returns
+    -------
+    list of tuple of ndarray
+        The positions of the seeds of both halves, shapes (count // 2,) and the rest.
     """
     if count < 2:
         return []
-    everything = frozenset(range(count))
     half = count // 2
     total = math.comb(count, half)
     ways = total // 2 if count % 2 == 0 else total  # of even halves each way comes twice
-    step = max(1, math.ceil(ways / MOST_HALVINGS))
-    chosen = itertools.islice(itertools.combinations(range(count), half), 0, ways, step)
-    return [(np.array(part), np.array(sorted(everything - set(part)))) for part in chosen]
-
-
-def interquartile_mean(values: npt.ArrayLike) -> float:
-    """Return the mean of the middle half; a quarter of the sample is cut at each end."""
-    return float(_interquartile_means(_sample(values)))
-
-
-def interquartile_interval(
-    strata: Sequence[npt.ArrayLike],
-    level: float = LEVEL,
-    *,
-    resamples: int = RESAMPLES,
-    seed: int = 0,
-) -> Interval:
-    """Return the interquartile mean of all values and its stratified bootstrap interval.
-
-    Every resample draws as many values from each stratum as it has, so that a stratum (a load, a
-    cell) never weighs more than it does; the bounds are percentiles.
-
-    Parameters
-    ----------
-    strata
-        Samples, one value a seed each.
-    level
-        Coverage.
-    resamples, seed
-        Of the resampling: the same values give the same interval.
-
-    Raises
-    ------
-    ValueError
-        If there is no stratum, or one without a value.
-    """
-    samples = [_sample(stratum) for stratum in strata]
-    if not samples:
-        raise ValueError("strata: must be one or more")
-
-    def of_all(*drawn: Any, axis: int = -1) -> Any:
-        return _interquartile_means(np.concatenate(drawn, axis=axis))
-
-    estimate = interquartile_mean(np.concatenate(samples))
-    if math.isnan(estimate):
-        return Interval(math.nan, math.nan, math.nan)
-    if min(map(len, samples)) < 2:
-        return Interval(estimate, math.nan, math.nan)
-    return Interval(estimate, *_percentiles(samples, of_all, level, resamples, seed))
+    taken = min(ways, MOST_HALVINGS)
+    halves = [_combination(number * ways // taken, count, half) for number in range(taken)]
+    return [(part, np.setdiff1d(np.arange(count), part)) for part in halves]
 
 
 def probability_of_improvement(
@@ -312,13 +272,18 @@ def effect_size(differences: npt.ArrayLike) -> float:
     return mean / spread
 
 
-def _interquartile_means(samples: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Interquartile means along the last axis, shape (..., n) -> (...)."""
-    count = samples.shape[-1]
-    weights = np.clip(np.arange(1, count + 1) - count / 4.0, 0.0, 1.0)
-    weights = np.minimum(weights, weights[::-1])
-    means: npt.NDArray[np.float64] = np.sort(samples, axis=-1) @ (weights / weights.sum())
-    return means
+def _combination(rank: int, count: int, size: int) -> IntArray:
+    """Return a combination of `size` out of range(count) by its rank in lexicographic order."""
+    chosen: list[int] = []
+    for item in range(count):
+        if len(chosen) == size:
+            break
+        with_item = math.comb(count - item - 1, size - len(chosen) - 1)
+        if rank < with_item:
+            chosen.append(item)
+        else:
+            rank -= with_item
+    return np.array(chosen, dtype=np.intp)
 
 
 def _percentiles(

@@ -132,9 +132,9 @@ TITLES = {
     "scores": (
         "Policies over all loads",
         "Score: log(PF / own) / log(PF / best classical scheduler of the load) of mean square "
-        "backlogs; 0 is PF, 1 the best. Interquartile mean over worlds and loads, stratified "
-        "bootstrap 95 % interval with the loads as strata. `shorter_worlds`: share of worlds in "
-        "which the policy's mean square backlog is below that of the best classical scheduler.",
+        "backlogs, both summed over the loads; 0 is PF, 1 the best. Mean and Student t 95 % "
+        "interval over worlds. `shorter_worlds`: share of worlds and loads in which the policy's "
+        "mean square backlog is below that of the best classical scheduler.",
     ),
     "generalisation": (
         "Trained policies where they were not trained",
@@ -319,7 +319,8 @@ def interval_text(mean: float, lo: float, hi: float) -> str:
     if mean == lo == 0.0:
         return f"< {hi:.2g}"
     decimals = 1 - math.floor(math.log10(half))
-    if decimals > 6 or hi > 30.0 * abs(mean):  # tiny, or far from symmetric: each with its digits
+    skewed = hi > 10.0 * lo > 0.0 or hi > 30.0 * abs(mean)
+    if decimals > 6 or skewed:  # each number with digits of its own
         return f"{mean:.3g} [{lo:.2g}, {hi:.2g}]"
     decimals = max(0, decimals)
     return f"{mean:.{decimals}f} [{lo:.{decimals}f}, {hi:.{decimals}f}]"
