@@ -9,14 +9,15 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from hiersched.study.statistics import (
-    bootstrap_interval,
     effect_size,
-    interquartile_interval,
-    interquartile_mean,
+    halvings,
+    log_ratios,
     mean_interval,
     paired_difference,
-    paired_ratio,
+    paired_log_ratio,
     probability_of_improvement,
+    skewed_interval,
+    smallest_mean,
 )
 
 A = np.array([1.2, 0.8, 1.5, 0.9, 1.1])
@@ -46,29 +47,42 @@ def test_paired_difference_is_the_paired_t_interval() -> None:
     assert paired_difference(A, B) == pytest.approx(expected)
 
 
-def test_bounds_of_a_ratio_are_where_the_t_test_turns() -> None:
-    """Fieller's set in its definition: at the bounds q, a - q b differs from 0 at exactly 5 %."""
-    ratio, lo, hi = paired_ratio(A, B)
-    assert ratio == pytest.approx(A.mean() / B.mean())
-    for bound in (lo, hi):
-        assert stats.ttest_1samp(A - bound * B, 0.0).pvalue == pytest.approx(0.05)
-    assert stats.ttest_1samp(A - ratio * B, 0.0).pvalue > 0.05
-    assert lo < ratio < hi
+def test_a_paired_log_ratio_is_the_t_interval_of_the_logarithms() -> None:
+    bounds = stats.ttest_rel(np.log(A), np.log(B)).confidence_interval(0.95)
+    expected = np.exp([np.log(A / B).mean(), bounds.low, bounds.high])
+    assert paired_log_ratio(A, B) == pytest.approx(tuple(expected))
+    assert paired_log_ratio(A, B).mean == pytest.approx(stats.gmean(A / B))
+    assert log_ratios(A, B) == pytest.approx(np.log(A) - np.log(B))
 
 
-def test_a_ratio_of_zeros_is_zero() -> None:
-    ratio, lo, hi = paired_ratio(np.zeros(5), B)
-    assert (ratio, lo, hi) == pytest.approx((0.0, 0.0, 0.0))
+def test_a_ratio_turned_round_is_its_inverse() -> None:
+    mean, lo, hi = paired_log_ratio(A, B)
+    assert paired_log_ratio(B, A) == pytest.approx((1.0 / mean, 1.0 / hi, 1.0 / lo))
 
 
-def test_a_ratio_is_unbounded_where_the_baseline_may_be_zero() -> None:
-    assert paired_ratio(A, np.array([-1.0, 2.0, -0.5, 1.0, 0.1]))[1:] == (-math.inf, math.inf)
+def test_equal_samples_have_a_ratio_of_exactly_1() -> None:
+    assert paired_log_ratio(A, A) == (1.0, 1.0, 1.0)
+
+
+def test_values_of_0_leave_an_upper_bound_of_the_ratio() -> None:
+    """A world without late packets counts as one in which as few as can be seen are late."""
+    shares, least = np.array([0.0, 1e-4, 3e-4, 0.0, 2e-4]), 1e-5
+    mean, lo, hi = paired_log_ratio(shares, B, resolution=least)
+    shown = paired_log_ratio(np.maximum(shares, least), B)
+    assert (mean, lo, hi) == (shown.mean, 0.0, shown.hi)
+    assert paired_log_ratio(np.zeros(5), B, resolution=least).lo == 0.0
+    assert np.isnan(paired_log_ratio(shares, B)).all()  # without a resolution nothing bounds it
+
+
+def test_a_baseline_of_0_has_no_ratio() -> None:
+    assert np.isnan(paired_log_ratio(A, [0.0, *B[1:]], resolution=1e-5)).all()
+    assert np.isnan(paired_log_ratio(np.zeros(5), np.zeros(5), resolution=1e-5)).all()
 
 
 @given(st.floats(0.01, 100.0), st.floats(0.01, 100.0))
 def test_a_ratio_scales_with_its_samples(scale_a: float, scale_b: float) -> None:
-    scaled = np.array(paired_ratio(scale_a * A, scale_b * B))
-    assert scaled == pytest.approx(np.array(paired_ratio(A, B)) * scale_a / scale_b)
+    scaled = np.array(paired_log_ratio(scale_a * A, scale_b * B))
+    assert scaled == pytest.approx(np.array(paired_log_ratio(A, B)) * scale_a / scale_b)
 
 
 def test_the_t_interval_covers_as_often_as_it_says() -> None:
@@ -77,29 +91,70 @@ def test_the_t_interval_covers_as_often_as_it_says() -> None:
     assert np.mean(inside) == pytest.approx(0.95, abs=0.012)
 
 
-def test_bootstrap_interval_is_scipys_and_repeats() -> None:
-    values = np.random.default_rng(2).exponential(size=30)
-    got = bootstrap_interval(values)
-    assert got == bootstrap_interval(values)
-    reference = stats.bootstrap((values,), np.mean, method="BCa", rng=5, n_resamples=20000)
-    bounds = reference.confidence_interval
-    assert got[1:] == pytest.approx((bounds.low, bounds.high), rel=0.02)
+@given(st.floats(1e-9, 1e6))
+def test_a_skewed_interval_scales_with_its_sample(scale: float) -> None:
+    scaled = np.array(skewed_interval(scale * A))
+    assert scaled == pytest.approx(scale * np.array(skewed_interval(A)), rel=1e-5)
 
 
-def test_bootstrap_of_equal_values() -> None:
-    assert bootstrap_interval([2.0, 2.0, 2.0]) == (2.0, 2.0, 2.0)
+def test_zeros_in_all_worlds_have_an_upper_bound() -> None:
+    """The share of worlds of which ten show none 1 time in 20, each of the least share."""
+    mean, lo, hi = skewed_interval(np.zeros(10), resolution=2e-5)
+    assert (mean, lo) == (0.0, 0.0)
+    assert hi == smallest_mean(10, 2e-5)
+    share = hi / 2e-5
+    assert stats.binom.pmf(0, 10, share) == pytest.approx(0.05)
+    assert skewed_interval(np.zeros(10), resolution=9.0, most=1.0).hi == 1.0
 
 
-def test_bootstrap_of_no_number_has_no_bounds() -> None:
-    assert all(np.isnan(bootstrap_interval([1.0, math.nan, 2.0])))
+def test_one_share_above_0_bounds_the_mean_from_above_alone() -> None:
+    sample = np.array([0.0] * 9 + [1e-5])
+    mean, lo, hi = skewed_interval(sample, resolution=1e-5, most=1.0)
+    assert (mean, lo) == (pytest.approx(1e-6), 0.0)
+    assert smallest_mean(10, 1e-5) < hi < 1.0
 
 
-def test_interquartile_mean() -> None:
-    values = np.random.default_rng(3).normal(size=20)
-    assert interquartile_mean(values) == pytest.approx(stats.trim_mean(values, 0.25))
-    # Five values: a quarter is 1.25, so 1, 3/4 and then nothing is left of each end.
-    assert interquartile_mean([0.0, 10.0, 20.0, 40.0, 1000.0]) == pytest.approx(
-        (0.75 * 10.0 + 20.0 + 0.75 * 40.0) / 2.5
+def test_skewed_bounds_end_at_the_most_there_can_be() -> None:
+    shares = np.array([0.9, 0.01, 0.5, 0.002, 0.3])
+    assert skewed_interval(shares).hi > 1.0
+    assert skewed_interval(shares, most=1.0).hi == 1.0
+    assert skewed_interval(shares, most=1.0).lo == skewed_interval(shares).lo
+
+
+def test_equal_values_have_no_width() -> None:
+    assert skewed_interval([0.25, 0.25, 0.25]) == (0.25, 0.25, 0.25)
+
+
+def test_what_has_no_skewed_interval() -> None:
+    assert np.isnan(skewed_interval([1.0, math.nan, 2.0])).all()
+    assert skewed_interval([3.0]).mean == 3.0
+    assert np.isnan(skewed_interval([3.0])[1:]).all()
+    with pytest.raises(ValueError, match="-1, must be 0 or above"):
+        skewed_interval([1.0, -1.0])
+
+
+@pytest.mark.parametrize(("count", "ways"), [(0, 0), (1, 0), (2, 1), (3, 3), (4, 3), (10, 126)])
+def test_all_ways_to_halve_few_seeds(count: int, ways: int) -> None:
+    halves = halvings(count)
+    assert len(halves) == ways
+    for a, b in halves:
+        assert sorted([*a, *b]) == list(range(count))
+        assert len(b) - len(a) == count % 2
+    assert len({frozenset((tuple(a), tuple(b))) for a, b in halves}) == ways
+    # Beside a seed, each of the others is in count / 2 - 1 of count - 1 places of its half.
+    together = sum(set(a) >= {0, 1} or set(b) >= {0, 1} for a, b in halves)
+    if count > 2 and count % 2 == 0:
+        assert together / ways == pytest.approx((count / 2 - 1) / (count - 1))
+
+
+@pytest.mark.parametrize("count", [15, 20, 40])
+def test_many_seeds_are_halved_in_a_thousand_different_ways(count: int) -> None:
+    halves = halvings(count)
+    assert len({tuple(a) for a, _ in halves}) == 1000
+    first = np.mean([np.isin(np.arange(count), a) for a, _ in halves], axis=0)
+    # Seed 0 is always in the first half of an even number; the others as often in each.
+    assert first[1 - count % 2 :] == pytest.approx(
+        (count // 2 - 1 + count % 2) / (count - 1 + count % 2), abs=0.1
     )
 
 
@@ -111,31 +166,7 @@ def test_a_sample_of_another_shape_is_refused(values: list[object]) -> None:
 
 def test_samples_of_different_worlds_are_refused() -> None:
     with pytest.raises(ValueError, match="5 values against 4"):
-        paired_ratio(A, B[:4])
-
-
-def test_stratified_bootstrap_keeps_the_strata_apart() -> None:
-    """Two strata far apart: resampled within, the share of each stays one half."""
-    rng = np.random.default_rng(4)
-    low, high = rng.normal(0.0, 1.0, 12), rng.normal(100.0, 1.0, 12)
-    got = interquartile_interval([low, high])
-    assert got == interquartile_interval([low, high])
-    assert got.mean == interquartile_mean(np.concatenate([low, high]))
-    pooled = interquartile_interval([np.concatenate([low, high])])
-    assert got.hi - got.lo < 5.0 < pooled.hi - pooled.lo
-    draws = [
-        stats.trim_mean(np.concatenate([rng.choice(low, 12), rng.choice(high, 12)]), 0.25)
-        for _ in range(4000)
-    ]
-    assert got[1:] == pytest.approx(np.quantile(draws, [0.025, 0.975]), abs=0.12)
-
-
-def test_strata_without_values_are_refused() -> None:
-    with pytest.raises(ValueError, match="strata"):
-        interquartile_interval([])
-    with pytest.raises(ValueError, match="shape"):
-        interquartile_interval([A, []])
-    assert math.isnan(interquartile_interval([[1.0], [2.0]]).lo)
+        paired_log_ratio(A, B[:4])
 
 
 def test_probability_of_improvement_is_mann_whitneys() -> None:
