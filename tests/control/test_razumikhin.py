@@ -113,7 +113,7 @@ def test_c2_longest_delay_of_the_split_plant(make_split_plant, share, longest):
 
 def _random_loop(rng):
     """Half of the loops are triangular: their P may come near to being singular."""
-    n = int(rng.integers(1, 4))
+    n = int(rng.integers(1, 5))
     A_c, A_d = rng.standard_normal((2, n, n))
     if rng.random() < 0.5:
         A_c, A_d = np.tril(A_c), np.tril(A_d)
