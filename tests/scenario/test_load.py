@@ -75,7 +75,21 @@ def test_overlay_replaces_what_it_names_and_nothing_else(load_text, config):
         learning=replace(plain.learning, hidden=(8,)),
     )
     defaults = yaml.safe_load((config / "defaults.yaml").read_text(encoding="utf-8"))
+    defaults["control"]["hold_samples"] = 5  # null: as long as gain schedules are held
     assert scenario_to_dict(plain) == {"name": "plain", **defaults}
+
+
+def test_a_predictor_is_not_held_and_gain_schedules_are(load_text):
+    control = load_text("control: {method: predictor}\n").control
+    assert control.hold_samples == 0
+    assert load_text("control: {method: h2}\n").control.hold_samples == 5
+    assert load_text("control: {hold_samples: 2}\n").control.hold_samples == 2
+    assert load_text("control: {hold_samples: 0}\n").control.hold_samples == 0
+
+
+def test_scenarios_that_differ_in_a_value_have_other_hashes(load_text):
+    plain = load_text("name: plain\n")
+    changed = load_text("name: plain\nradio: {rayleigh_scale: 2.0}\n")
     assert scenario_sha256(changed) != scenario_sha256(plain)
 
 
