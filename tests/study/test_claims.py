@@ -22,8 +22,7 @@ from hiersched.study.claims_report import (
     write_claims,
 )
 from hiersched.study.conditions import Frames
-from hiersched.study.measured import settling
-from hiersched.study.statistics import Interval
+from hiersched.study.statistics import Interval, halvings, mean_interval
 from hiersched.study.tables import write_tables
 from hiersched.study.verdicts import (
     Claim,
@@ -38,7 +37,8 @@ from hiersched.study.verdicts import (
 
 def statement(lo: float, hi: float, **claimed: float) -> Statement:
     interval = Interval(0.5 * (lo + hi), lo, hi)
-    return Statement(name="x", unit="1", interval=interval, effect=1.0, count=5, **claimed)
+    values = (interval.mean,) * 5
+    return Statement(name="x", unit="1", interval=interval, effect=1.0, values=values, **claimed)
 
 
 @pytest.mark.parametrize(
@@ -101,6 +101,52 @@ def test_the_rule(base: list[str], others: list[str], verdict: str, flips: int) 
     assert len(flipping(first, [*rest, *shown])) == flips
 
 
+def of_seeds(*values: float, **claimed: float) -> Statement:
+    interval = mean_interval(values)
+    return Statement(name="x", unit="1", interval=interval, effect=1.0, values=values, **claimed)
+
+
+def test_a_verdict_stands_where_halves_of_the_seeds_agree() -> None:
+    """Ten seeds: 126 halvings. Nine at 1 and one at -5 that turns every half it is in: none agree.
+
+    With -3 instead, halves of the outlier have the mean 0.2: all agree. Of four seeds of 1 and two
+    of -0.9 among them, a half of two and one has 1.1 / 3, one of one and two -0.8 / 3.
+    """
+
+    def claim(*statements: Statement) -> Condition:
+        return Condition(axis="", value="", policy="ddpg", statements=statements)
+
+    assert len(halvings(10)) == 126
+    one, other = [1.0] * 9 + [-5.0], [1.0] * 9 + [-3.0]
+    assert claim(of_seeds(*one, above=0.0)).agreement == 0.0
+    assert claim(of_seeds(*other, above=0.0)).agreement == 1.0
+    mixed = claim(of_seeds(1.0, 1.0, 1.0, 1.0, -0.9, -0.9, above=0.0))
+    # The two lie in one half in 4 of the 10 ways.
+    assert mixed.agreement == pytest.approx(6 / 10)
+    assert claim(of_seeds(*other, above=0.0), of_seeds(*one, above=0.0)).agreement == 0.0
+    assert math.isnan(claim(of_seeds(1.0, above=0.0)).agreement)
+    assert math.isnan(claim(of_seeds(1.0, 2.0), of_seeds(1.0, 2.0, 3.0)).agreement)
+    held = claim(of_seeds(*[1.0 + 0.01 * i for i in range(9)], 1.5, above=0.0))
+    assert verdict_of(held, []) == "reproduced"
+    few = of_seeds(3.0, *[0.02, 0.03, 0.02, 0.04, 0.02, 0.03, 0.02, 0.02], 0.01, above=0.1)
+    assert few.outcome == "open"
+    assert verdict_of(claim(few), []) == "depends"  # without halvings: not reproduced
+
+
+def test_halves_of_ratios_are_of_logarithms() -> None:
+    ratio = Statement(
+        name="x",
+        unit="1",
+        interval=Interval(0.5, 0.4, 0.6),
+        effect=1.0,
+        values=tuple(np.log([0.5, 0.25, 1.0])),
+        logarithms=True,
+        below=0.6,
+    )
+    assert ratio.claimed_by(np.array([0, 1]))
+    assert not ratio.claimed_by(np.array([0, 2]))  # the geometric mean is 0.71
+
+
 SEEDS = (1, 2, 3, 4, 5)
 SCALES = (0.5, 1.0, 2.0)
 
@@ -118,6 +164,10 @@ def planted(measure: str, policy: str, axis: str, value: str, seed: int) -> floa
         "urllc_late_share": 0.01 if own else 0.2,
         "dexterity_index": {"zigzag": 0.66, "arc": 0.91}.get(value, 0.75),
     }
+    if axis == "service_coefficient_mbps" and value == "beta8_h0.1":
+        numbers["urllc_rate_mbps"] *= 0.9
+    if axis == "load_ratio" and value == "0.7":
+        numbers["embb_rate_mbps"] -= 5.0
     if axis == "reference":
         numbers["urllc_rate_mbps"] -= 4.0 * (numbers["dexterity_index"] - 0.75)
         numbers["embb_rate_mbps"] += 4.0 * (numbers["dexterity_index"] - 0.75)
@@ -132,6 +182,8 @@ def runs_of(axis: str, values: tuple[str, ...]) -> pd.DataFrame:
             "seed": seed,
             "axis": axis,
             "value": value,
+            "num_slots": 100,
+            "urllc_due_packets": 4000,
             **{
                 name: planted(name, policy, axis, value, seed)
                 for name in (*names.split(), "urllc_late_share", "dexterity_index")
@@ -160,6 +212,13 @@ def frames() -> Frames:
         )
         for seed in SEEDS
     )
+    checkpoints = training[training["episode"].isin([1, 4, 7, 10])]
+    idle = checkpoints.assign(
+        **{name: checkpoints["seed"] * 1.0 for name in checkpoints if name.endswith("packets")},
+        urllc_reward=-0.5,
+        embb_reward=-0.5,
+    )
+    noisy = training.assign(urllc_reward=-0.5 + 0.02 * training["episode"])
     gains = pd.DataFrame(
         [
             {
@@ -178,9 +237,14 @@ def frames() -> Frames:
         runs_of("sampling_s", ("0.02", "0.1")),
         runs_of("reference", ("zigzag", "arc")),
         runs_of("load", ("0.85", "1.05")),
+        runs_of("load_ratio", ("0.7", "1.4")),
+        runs_of(
+            "service_coefficient_mbps", ("beta0_h0.02", "beta0_h0.1", "beta8_h0.02", "beta8_h0.1")
+        ),
     ]
     return Frames(
-        training={"ddpg": training},
+        training={"ddpg": training, "idle": noisy},
+        checkpoints={"ddpg": checkpoints, "idle": idle},
         runs=runs_of("", ("",)),
         sweeps=pd.concat(sweeps, ignore_index=True),
         gains=gains,
@@ -189,10 +253,12 @@ def frames() -> Frames:
 
 @pytest.fixture(scope="module")
 def scenario(tiny: Scenario) -> Scenario:
+    learning = replace(tiny.learning, num_envs=1, seeds=SEEDS)
     return replace(
         tiny,
         evaluate=replace(tiny.evaluate, policies=("ddpg", "pf")),
-        learning=replace(tiny.learning, num_envs=1),
+        learning=learning,
+        learners={"idle": replace(learning, frozen=True)},
     )
 
 
@@ -206,16 +272,20 @@ def test_verdicts_follow_from_planted_numbers(claims: dict[int, Claim]) -> None:
     assert verdicts == {
         1: "not reproduced",  # the eMBB reward falls
         2: "reproduced",
-        3: "depends",  # above load 1 it is the other way round
+        3: "depends",  # above load 1 it is the other way round, and with less eMBB load
         4: "reproduced",
         5: "not reproduced",  # both queues fall
-        6: "reproduced",
+        6: "depends",  # with a larger beta
         7: "not reproduced",  # the eMBB rate rises with the index
         8: "depends",  # the other plant needs no adjustment
         9: "reproduced",
         10: "reproduced",
     }
-    assert [c.value for c in claims[3].flipped_by] == ["1.05"]
+    assert [c.value for c in claims[3].flipped_by] == ["1.05", "0.7"]
+    assert [(c.axis, c.value) for c in claims[6].flipped_by] == [
+        ("traffic.service_coefficient_mbps", "8")
+    ]
+    assert [c.outcome for c in claims[6].others if c.value == "0"] == ["holds"]
     assert [c.value for c in claims[8].flipped_by] == ["razumikhin, split"]
 
 
@@ -233,11 +303,37 @@ def test_numbers_are_those_of_the_planted_runs(claims: dict[int, Claim]) -> None
     assert claims[10].base.statements[0].interval.mean == pytest.approx(0.05)
 
 
-def test_fifths_of_a_training(frames: Frames) -> None:
-    """Ten rounds are five pairs; the queue falls by 2 a round."""
-    change, late = settling(frames.training["ddpg"], "urllc_backlog_packets", 1)
-    assert change.interval.mean == pytest.approx(-16.0)
-    assert late.interval.mean == pytest.approx(0.25)
+def test_rewards_and_queues_are_judged_without_noise_beside_a_control(
+    claims: dict[int, Claim], frames: Frames
+) -> None:
+    """Queues at episodes 1, 4, 7 and 10: 18 packets less; those of the control stay."""
+    fall, beyond, *_ = claims[2].base.statements
+    assert fall.interval.mean == beyond.interval.mean == pytest.approx(-18.0)
+    late = claims[1].base.statements[1]
+    size = 1.0 + 0.01 * np.array(SEEDS)
+    rise, step = (1.0 - math.exp(-9)) * size, (math.exp(-6) - math.exp(-9)) * size
+    assert late.interval.mean == pytest.approx((step - 0.1 * rise).mean())
+    shown = {(c.axis, c.policy): c for c in claims[1].others if not c.counts}
+    assert set(shown) == {
+        ("learns nothing", "idle"),
+        ("with noise", "ddpg"),
+        ("learns nothing, with noise", "idle"),
+    }
+    # What the control seems to learn under the noise: two of ten rounds a fifth, 0.02 a round.
+    (rise, _) = shown["learns nothing, with noise", "idle"].statements
+    assert rise.interval.mean == pytest.approx(8 * 0.02)
+    assert rise.outcome == "holds"
+    still = shown["learns nothing", "idle"].statements[0]
+    assert still.interval.mean == 0.0
+    assert still.outcome == "contradicted"
+
+
+def test_a_learner_that_does_what_its_control_does_shows_nothing(
+    frames: Frames, scenario: Scenario
+) -> None:
+    same = frames._replace(checkpoints=dict.fromkeys(("ddpg", "idle"), frames.checkpoints["ddpg"]))
+    first, second = judge(same, scenario)[:2]
+    assert {claim.base.outcome for claim in (first, second)} == {"contradicted"}
 
 
 def test_what_was_not_run_is_not_judged(frames: Frames, scenario: Scenario) -> None:
@@ -259,9 +355,14 @@ def test_both_files_say_the_same(results: Path, tiny: Scenario, project_root: Pa
     for claim in claims:
         (row,) = [line for line in text.splitlines() if f"({claim['reference']})" in line]
         assert f"**{claim['verdict']}**" in row
-    late = claims[9]["base"]["statements"][0]
-    shares = pd.read_csv(results / "tables/policies.csv").set_index("policy")["urllc_late_share"]
-    assert late["estimate"] == pytest.approx(shares["ddpg"] / shares["pf"])
+    rate = claims[8]["base"]["statements"][0]
+    runs = pd.read_csv(results / "tables/runs.csv")
+    by_policy = runs[runs["stage"] == "evaluate"].pivot(
+        index="seed", columns="policy", values="urllc_rate_mbps"
+    )
+    typical = np.exp(np.log(by_policy["ddpg"] / by_policy["pf"]).mean())
+    assert rate["estimate"] == pytest.approx(typical)
+    assert 0.0 <= claims[8]["halvings_that_agree"] <= 1.0
     loads = [run["value"] for run in claims[9]["sensitivity"] if run["axis"] == "traffic.load"]
     assert loads == ["0.85", "1.0"]
 
@@ -281,7 +382,7 @@ def test_the_readme_gets_its_table_from_the_file(
     assert insert_table(text, document) == text
     (row,) = [line for line in text.splitlines() if line.startswith("| 3 |")]
     assert "eMBB rate − URLLC rate: 2.0000 [" in row
-    assert "**depends** | traffic.load = 1.05 |" in row
+    assert "**depends** | 100 % | traffic.load = 1.05; traffic.embb_offered_mbps / " in row
     with pytest.raises(ValueError, match="claims: begin"):
         insert_table("no marks", document)
 

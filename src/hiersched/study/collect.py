@@ -114,7 +114,6 @@ def runs_frame(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
         pd.read_csv(
             _existing(results_dir / paths.measures_file(group)),
             dtype={"policy": str, "stage": str, "axis": str, "value": str},
-            float_precision="round_trip",
         )
         for group in policy_groups(scenario)
         if group_runs(scenario, group)
