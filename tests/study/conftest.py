@@ -22,6 +22,7 @@ from hiersched.runs.variants import (
     swept_values,
 )
 from hiersched.scenario import Scenario, load_scenario
+from hiersched.scenario.schema import checkpoint_rounds
 from hiersched.simulator.gains import plant_of
 from hiersched.study.collect import write_measures
 from hiersched.study.fifo import backlog_path, deadline_in_slots, late_packets
@@ -205,6 +206,11 @@ def results(tmp_path_factory: pytest.TempPathFactory, tiny: Scenario) -> Path:
             fields["reward_urllc"] = np.repeat(np.arange(4.0), 5) + seed
             label = {"policy": learner, "seed": str(seed), "slots_per_episode": "5"}
             _write_log(folder / paths.training_log(learner, seed), fields, metadata=label)
+            worlds = tiny.learning.checkpoint_worlds
+            slots = 5 * worlds * len(checkpoint_rounds(tiny.learning))
+            fixed = _run(tiny, learner, seed + 100, slots=slots)
+            label["episodes_per_round"] = str(worlds)
+            _write_log(folder / paths.checkpoint_log(learner, seed), fixed, metadata=label)
     for group in policy_groups(tiny):
         write_measures(folder, tiny, group)
     return folder

@@ -58,10 +58,11 @@ def test_methods_have_the_planted_ratios_in_violated_slots_alone(
         "violated",
         "calm",
     ]
-    for method, ratio in (("krasovskii", 0.50067), ("razumikhin", 1.0), ("predictor", 1.20067)):
+    # Geometric means of 0.49, 0.50, 0.51 and of 1.19, 1.20, 1.21.
+    for method, ratio in (("krasovskii", 0.499933), ("razumikhin", 1.0), ("predictor", 1.199972)):
         assert table.loc[(method, "calm"), "ratio"] == 1.0
         for slot in ("5", "20", "violated"):
-            assert table.loc[(method, slot), "ratio"] == pytest.approx(ratio, abs=1e-5)
+            assert table.loc[(method, slot), "ratio"] == pytest.approx(ratio, abs=1e-6)
     assert table["nominal_cm"].to_numpy() == pytest.approx(np.full(15, 2.0))
     assert (table["seeds"] == 3).all()
     assert table.loc[("razumikhin", "5"), "plant"] == "split"

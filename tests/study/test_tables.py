@@ -11,16 +11,18 @@ from scipy import stats
 
 from hiersched.log import LogReader
 from hiersched.scenario import Scenario
+from hiersched.study.collect import measure_group
 from hiersched.study.metrics import run_metrics
-from hiersched.study.standing import COST, best_classical, score_table
-from hiersched.study.statistics import bootstrap_interval, interquartile_mean
+from hiersched.study.standing import BACKLOG, best_classical, score_table
+from hiersched.study.statistics import skewed_interval, smallest_mean
 from hiersched.study.summary import measures, policy_table
 from hiersched.study.tables import interval_text, markdown_text, parameter_table, write_tables
 
-PROMISED = (
-    "urllc_late_share, embb_late_share, urllc_rate_mbps, embb_rate_mbps, urllc_backlog_packets, "
-    "embb_backlog_packets, urllc_delay_p99_s, tracking_error_cm, dexterity_index"
-).split(", ")
+SYMMETRIC = "urllc_rate_mbps embb_rate_mbps dexterity_index".split()
+SKEWED = (
+    "urllc_backlog_packets embb_backlog_packets urllc_delay_p99_s tracking_error_cm "
+    "mean_square_backlog penalty_cost"
+).split()
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +31,7 @@ def tables(results: Path, tiny: Scenario, project_root: Path) -> dict[str, pd.Da
     return {path.stem: pd.read_csv(path) for path in written if path.suffix == ".csv"}
 
 
-def test_policies_have_the_means_and_t_intervals_of_their_logs(
+def test_policies_have_means_medians_and_the_interval_that_suits_a_measure(
     tables: dict[str, pd.DataFrame], results: Path, tiny: Scenario
 ) -> None:
     table = tables["policies"].set_index("policy")
@@ -38,30 +40,55 @@ def test_policies_have_the_means_and_t_intervals_of_their_logs(
     for policy in table.index:
         logs = [results / "eval" / policy / f"seed{s}.mcap" for s in tiny.evaluate.seeds]
         runs = [run_metrics(log, tiny) for log in logs]
-        for name in PROMISED:
-            values = np.array([getattr(run, name) for run in runs])
-            low, high = stats.ttest_1samp(values, 0.0).confidence_interval(0.95)
+
+        def check(
+            name: str, interval: tuple[float, float], policy: str, values: list[float]
+        ) -> None:
             row = table.loc[policy, [name, f"{name}_lo", f"{name}_hi"]].to_numpy(float)
-            assert row == pytest.approx([values.mean(), low, high], rel=1e-12, nan_ok=True)
+            expected = [np.mean(values), *interval]
+            assert row == pytest.approx(expected, rel=1e-12, nan_ok=True), name
+            assert table.loc[policy, f"{name}_median"] == pytest.approx(np.median(values))
+
+        for name in SYMMETRIC:
+            values = [getattr(run, name) for run in runs]
+            check(name, stats.ttest_1samp(values, 0.0).confidence_interval(0.95), policy, values)
+        for name in SKEWED:
+            values = [getattr(run, name) for run in runs]
+            check(name, skewed_interval(values)[1:], policy, values)
+        for part in ("urllc", "embb"):
+            values = [getattr(run, f"{part}_late_share") for run in runs]
+            least = 4.0 / min(getattr(run, f"{part}_due_packets") for run in runs)
+            interval = skewed_interval(values, resolution=least, most=1.0)[1:]
+            check(f"{part}_late_share", interval, policy, values)
 
 
-def test_policies_have_robust_measures_of_the_late_share(tiny: Scenario) -> None:
-    late = "urllc_late_share"
-    samples = {"ddpg": [0.0, 0.0, 1e-4, 2e-4, 5e-3], "pf": [0.2, 0.2, 0.2, 0.2, 0.2]}
+def late_runs(scenario: Scenario, samples: dict[str, list[float]]) -> pd.DataFrame:
+    """Runs of 1000 due packets each with these late shares, all other measures 0.5."""
+    common = {**dict.fromkeys(measures(scenario), 0.5), "num_slots": 100}
+    common |= {"urllc_due_packets": 1000, "embb_due_packets": 1000}
     rows = [
-        {**dict.fromkeys(measures(tiny), 0.5), "policy": policy, late: share}
+        {**common, "policy": policy, "seed": seed, "urllc_late_share": share}
         for policy, shares in samples.items()
-        for share in shares
+        for seed, share in enumerate(shares)
     ]
-    table = policy_table(pd.DataFrame(rows), tiny).set_index("policy")
-    for policy, shares in samples.items():
-        boot = bootstrap_interval(shares)
-        row = table.loc[policy]
-        assert row[f"{late}_iqm"] == interquartile_mean(shares)
-        assert (row[f"{late}_boot_lo"], row[f"{late}_boot_hi"]) == (boot.lo, boot.hi)
-    skewed = table.loc["ddpg"]
-    assert skewed[f"{late}_lo"] < 0.0 <= skewed[f"{late}_boot_lo"]
-    assert skewed[f"{late}_boot_hi"] <= 5e-3
+    return pd.DataFrame(rows)
+
+
+def test_a_late_share_of_0_has_the_bound_that_the_worlds_give(tiny: Scenario) -> None:
+    """Batches of 4 of 1000 packets, five worlds: 1 - 0.05^(1/5) = 0.4507 of 0.004."""
+    samples = {"ddpg": [0.0, 0.0, 0.004, 0.02, 0.5], "pf": [0.0] * 5, "flat": [0.25] * 5}
+    table = policy_table(late_runs(tiny, samples), tiny).set_index("policy")
+    late = "urllc_late_share"
+    assert table[f"{late}_smallest"].tolist() == pytest.approx([0.0018029] * 3, rel=1e-4)
+    assert table[f"{late}_smallest"].iloc[0] == smallest_mean(5, 0.004)
+    assert table[f"{late}_median"].tolist() == [0.004, 0.0, 0.25]
+    bounds = table[[late, f"{late}_lo", f"{late}_hi"]]
+    assert bounds.loc["pf"].tolist() == [0.0, 0.0, table.loc["pf", f"{late}_smallest"]]
+    assert bounds.loc["flat"].tolist() == [0.25, 0.25, 0.25]
+    assert 0.0 < bounds.loc["ddpg", f"{late}_lo"] < 0.1048
+    assert bounds.loc["ddpg", f"{late}_hi"] == 1.0  # cut: a share is no more
+    text = markdown_text(bounds.reset_index(), "T", "N")
+    assert "| pf | < 0.0018 |" in text
 
 
 @pytest.mark.parametrize("name", ["policies", "comparison"])
@@ -91,9 +118,10 @@ def test_gain_table_has_the_planted_ratios(tables: dict[str, pd.DataFrame]) -> N
     adjusted = nominal * [0.49, 0.50, 0.51]
     assert table["nominal_cm"].to_numpy() == pytest.approx(np.full(3, 2.0))
     assert table["adjusted_cm"].to_numpy() == pytest.approx(np.full(3, adjusted.mean()))
-    assert table["ratio"].to_numpy() == pytest.approx(np.full(3, adjusted.mean() / 2.0))
+    assert table["ratio"].to_numpy() == pytest.approx(np.full(3, stats.gmean(adjusted / nominal)))
     for bound in table["ratio_lo"].tolist() + table["ratio_hi"].tolist():
-        assert stats.ttest_1samp(adjusted - bound * nominal, 0.0).pvalue == pytest.approx(0.05)
+        logarithms = np.log(adjusted / nominal)
+        assert stats.ttest_1samp(logarithms, np.log(bound)).pvalue == pytest.approx(0.05)
     assert table["paper_ratio"].to_numpy() == pytest.approx([0.78967, 0.71207, 0.64864], abs=1e-5)
     assert set(table["method"] + table["plant"]) == {"krasovskiinetwork"}
     calm = tables["table2_methods"].query("not violated")
@@ -123,27 +151,33 @@ def test_comparison_is_paired_with_pf(
 ) -> None:
     table = tables["comparison"].query("baseline == 'pf'").set_index(["policy", "measure"])
     assert set(table.index.get_level_values(0)) == {"ddpg", "drift_plus_penalty", "flat"}
-    own, baseline = (
-        np.array(
-            [
-                run_metrics(results / "eval" / p / f"seed{s}.mcap", tiny).urllc_late_share
-                for s in tiny.evaluate.seeds
-            ]
-        )
-        for p in ("ddpg", "pf")
-    )
+    runs = {
+        policy: [
+            run_metrics(results / "eval" / policy / f"seed{s}.mcap", tiny)
+            for s in tiny.evaluate.seeds
+        ]
+        for policy in ("ddpg", "pf")
+    }
+    own, baseline = (np.array([run.urllc_late_share for run in r]) for r in runs.values())
     row = table.loc[("ddpg", "urllc_late_share")]
-    assert row["ratio"] == pytest.approx(own.mean() / baseline.mean())
     low, high = stats.ttest_rel(own, baseline).confidence_interval(0.95)
     assert [row["difference_lo"], row["difference_hi"]] == pytest.approx([low, high])
     assert row["seeds_below_baseline"] == (own < baseline).sum()
+    logs = [np.log([run.mean_square_backlog for run in r]) for r in runs.values()]
+    row = table.loc[("ddpg", "mean_square_backlog")]
+    assert row["ratio"] == pytest.approx(np.exp(np.mean(logs[0] - logs[1])))
+    bounds = stats.ttest_rel(*logs).confidence_interval(0.95)
+    assert [row["ratio_lo"], row["ratio_hi"]] == pytest.approx(np.exp([*bounds]))
 
 
 def test_sweeps_have_every_axis_value_and_policy(
     tables: dict[str, pd.DataFrame], results: Path, tiny: Scenario
 ) -> None:
     table = tables["sweeps"]
-    assert len(table) == 4 * 2 * 2 + 2 * 2  # along the load, all evaluated policies
+    assert len(table) == 4 * 2 * 2 + 2 * 2 + 2 * 2 + 2 * 2 * 2
+    along = table.groupby("axis")
+    assert along["policy"].nunique()["load"] == 4  # all that are evaluated
+    assert along["value"].nunique()["service_coefficient_mbps"] == 4  # by sampling interval
     assert table["value"].tolist()[0] == "0.5"
     row = table.query("axis == 'reference' and value == 'arc' and policy == 'pf'").iloc[0]
     logs = [results / "sweep/reference/pf" / f"arc_seed{s}.mcap" for s in tiny.sweeps.seeds]
@@ -188,8 +222,8 @@ def test_a_missing_log_is_named(results: Path, tiny: Scenario) -> None:
 
 def test_a_missing_value_of_a_sweep_is_named(results: Path, tiny: Scenario) -> None:
     more = replace(tiny, sweeps=replace(tiny.sweeps, load=(0.85, 0.9)))
-    with pytest.raises(FileNotFoundError, match=r"load = 0\.9, seed 21"):
-        write_tables(results, more)
+    with pytest.raises(FileNotFoundError, match=r"load/pf/0\.9_seed21\.mcap: no such log"):
+        measure_group(results, more, "classical")
 
 
 def test_no_half_written_file_stays(tables: dict[str, pd.DataFrame], results: Path) -> None:
@@ -204,6 +238,14 @@ def test_no_half_written_file_stays(tables: dict[str, pd.DataFrame], results: Pa
         ((19.3456, 18.0, 20.7), "19.3 [18.0, 20.7]"),
         ((1234.5, 1000.0, 1469.0), "1234 [1000, 1469]"),
         ((2.0, 2.0, 2.0), "2 [±0]"),
+        ((2e-9, 2e-9, 2e-9), "2e-09 [±0]"),
+        ((0.0, 0.0, 1.13e-6), "< 1.1e-06"),
+        ((0.0, 0.0, 0.0), "0 [±0]"),
+        ((3.21e-7, 1.1e-7, 9.9e-7), "3.21e-07 [1.1e-07, 9.9e-07]"),
+        ((0.0123, 0.00123, 0.5), "0.0123 [0.0012, 0.5]"),
+        ((0.001, 0.0, 0.0124), "0.0010 [0.0000, 0.0124]"),
+        ((-0.02, -0.05, 0.01), "-0.020 [-0.050, 0.010]"),
+        ((0.5, 0.0, math.inf), "0.5 [unbounded]"),
         ((0.5, math.nan, math.nan), "0.5"),
         ((0.5, -math.inf, math.inf), "0.5 [unbounded]"),
         ((math.nan, math.nan, math.nan), "–"),
@@ -227,36 +269,67 @@ def test_policies_say_how_they_stand_against_the_best_classical(
 ) -> None:
     runs = tables["runs"]
     runs = runs[runs["axis"].isna()]
-    cost = {p: g["drift_plus_penalty_cost"].to_numpy() for p, g in runs.groupby("policy")}
+    backlog = {p: g["mean_square_backlog"].to_numpy() for p, g in runs.groupby("policy")}
     table = tables["policies"].set_index("policy")
     (best,) = set(table["best_classical"])
     assert best != "ddpg"
-    assert cost[best].mean() <= cost["pf"].mean() * (1.0 + 1e-12)
-    above = np.sign(cost["ddpg"][:, None] - cost[best][None, :])
+    assert backlog[best].mean() <= backlog["pf"].mean() * (1.0 + 1e-12)
+    above = np.sign(backlog["ddpg"][:, None] - backlog[best][None, :])
     assert table.loc["ddpg", "improvement"] == pytest.approx(0.5 - 0.5 * above.mean())
     assert table.loc[best, "improvement"] == 0.5
-    assert table.loc["ddpg", "cost_iqm"] == pytest.approx(interquartile_mean(cost["ddpg"]))
+    over = table.loc["ddpg", [f"backlog_over_best{end}" for end in ("", "_lo", "_hi")]]
+    logarithms = np.log(backlog["ddpg"] / backlog[best])
+    bounds = stats.ttest_1samp(logarithms, 0.0).confidence_interval(0.95)
+    assert over.tolist() == pytest.approx(np.exp([logarithms.mean(), *bounds]).tolist())
+    assert table.loc[best, "backlog_over_best"] == 1.0
     against = tables["comparison"].query("baseline == @best and policy == 'ddpg'")
     assert len(against) == len(tables["comparison"].query("baseline == 'pf' and policy == 'ddpg'"))
 
 
 def test_the_exact_optimum_is_no_scheduler_to_beat() -> None:
-    rows = {"policy": ["exact", "pf", "ddpg"], "drift_plus_penalty_cost": [1.0, 3.0, 2.0]}
+    rows = {"policy": ["exact", "pf", "ddpg"], "mean_square_backlog": [1.0, 3.0, 2.0]}
     assert best_classical(pd.DataFrame(rows)) == "pf"
     assert best_classical(pd.DataFrame({k: v[2:] for k, v in rows.items()})) is None
 
 
 def test_scores_are_0_for_pf_and_1_for_the_best() -> None:
+    """By hand: log(64 / 4) / log(64 / 16) = 2, and as much at every load."""
     rows = [
-        {"axis": "load", "value": value, "policy": policy, "seed": seed, COST: cost * (1 + value)}
+        {"axis": "load", "value": value, "policy": policy, "seed": seed, BACKLOG: size * value}
         for value in (0.9, 1.0)
-        for policy, cost in (("pf", 10.0), ("edf", 4.0), ("ddpg", 1.0))
+        for policy, size in (("pf", 64.0), ("edf", 16.0), ("ddpg", 4.0))
         for seed in (1, 2, 3)
     ]
     table = score_table(pd.DataFrame(rows), pd.DataFrame(rows)).set_index("policy")
-    assert table["score_iqm"].to_dict() == pytest.approx({"pf": 0.0, "edf": 1.0, "ddpg": 1.5})
-    assert table["cheaper_worlds"].to_dict() == {"pf": 0.0, "edf": 0.0, "ddpg": 1.0}
+    assert table["score"].to_dict() == pytest.approx({"pf": 0.0, "edf": 1.0, "ddpg": 2.0})
+    assert table["shorter_worlds"].to_dict() == {"pf": 0.0, "edf": 0.0, "ddpg": 1.0}
     assert (table["loads"] == 2).all()
+
+
+def test_scores_are_of_worlds_and_loads_together() -> None:
+    """Where PF itself is the best, a load adds nothing to the scale; worlds are the units."""
+    sizes = {
+        (0.5, "pf"): [1.0, 1.0, 1.0],
+        (0.5, "edf"): [2.0, 2.0, 2.0],
+        (0.5, "ddpg"): [1.0, 2.0, 4.0],
+        (1.0, "pf"): [16.0, 16.0, 16.0],
+        (1.0, "edf"): [4.0, 4.0, 4.0],
+        (1.0, "ddpg"): [1.0, 2.0, 8.0],
+    }
+    rows = [
+        {"axis": "load", "value": value, "policy": policy, "seed": seed, BACKLOG: size}
+        for (value, policy), worlds in sizes.items()
+        for seed, size in enumerate(worlds)
+    ]
+    row = score_table(pd.DataFrame(rows), pd.DataFrame(rows)).set_index("policy").loc["ddpg"]
+    # In doublings: PF / ddpg is 0 + 4, -1 + 3 and -2 + 1, PF / best is 0 + 2 in every world.
+    scores = np.array([4.0, 2.0, -1.0]) / 2.0
+    bounds = stats.ttest_1samp(scores, 0.0).confidence_interval(0.95)
+    expected = [scores.mean(), bounds.low, bounds.high]
+    assert row[["score", "score_lo", "score_hi"]].tolist() == pytest.approx(expected)
+    assert row["shorter_worlds"] == pytest.approx(2 / 6)
+    always = pd.DataFrame([row for row in rows if row["value"] == 0.5])
+    assert score_table(always, always)["score"].isna().all()  # no scheduler beats PF anywhere
 
 
 def test_generalisation_is_paired_with_the_best_scheduler_there(
@@ -266,12 +339,13 @@ def test_generalisation_is_paired_with_the_best_scheduler_there(
     assert list(dict.fromkeys(table["axis"])) == ["cell", "load", "rayleigh_scale"]
     assert set(table[table["axis"] == "cell"]["value"]) == {"u2_e1_k4", "u2_e1_k6"}
     own = table[table["policy"] == table["best_classical"]]
-    assert (own["cost_over_best"] == 0.0).all()
+    assert (own["backlog_over_best"] == 1.0).all()
     rows = tables["runs"].query("axis == 'cell' and value == 'u2_e1_k6'")
-    cost = rows.pivot(index="seed", columns="policy", values="drift_plus_penalty_cost")
+    logs = np.log(rows.pivot(index="seed", columns="policy", values="mean_square_backlog"))
     row = table.query("value == 'u2_e1_k6' and policy == 'ddpg'").iloc[0]
-    low, high = stats.ttest_rel(cost["ddpg"], cost[row["best_classical"]]).confidence_interval(0.95)
-    assert [row["cost_over_best_lo"], row["cost_over_best_hi"]] == pytest.approx([low, high])
+    low, high = stats.ttest_rel(logs["ddpg"], logs[row["best_classical"]]).confidence_interval(0.95)
+    bounds = [row["backlog_over_best_lo"], row["backlog_over_best_hi"]]
+    assert bounds == pytest.approx(np.exp([low, high]).tolist())
 
 
 def test_bound_table_has_the_planted_gaps(tables: dict[str, pd.DataFrame]) -> None:
