@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import hiersched.control.schedule as schedule_module
-from hiersched.control import GainSchedule, build_schedule, certify, load_or_build
+from hiersched.control import GainSchedule, build_schedule, certify, hold_delays, load_or_build
 from hiersched.control.design import GainDesigner
 
 ADJUSTED = range(4, 13)
@@ -48,6 +48,38 @@ def test_each_gain_is_stable_at_each_delay_up_to_its_own(schedule, simulate, mak
         loop = plant.closed_loop(schedule.gain(delay))
         states = simulate(*loop, delays, np.array([0.1, 0.1, 0.1, 0.0, 0.0]))
         assert np.linalg.norm(states[-1]) < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("delays", "unheld", "held"),
+    [
+        ([3] * 6 + [12] * 10, 1.035, 0.974),
+        ([1, 1, *range(2, 12), 12, 12], 1.054, 0.954),
+        (list(range(1, 13)), 1.022, 0.964),
+        (np.repeat(np.arange(1, 13), 2).tolist(), 1.005, 1.021),
+    ],
+)
+def test_what_a_hold_of_five_samples_does_to_sawtooths(
+    schedule, make_network_plant, delays, unheld, held
+):
+    """Growth a sample of the loop whose delays repeat themselves: the hold is no cure for all."""
+    plant = make_network_plant()
+    n, longest = plant.A.shape[0], schedule.max_delay_steps
+    for samples, expected in ((0, unheld), (5, held), (25, None)):
+        history = delays * 8  # long enough for the entries in force to repeat themselves too
+        entries = hold_delays(history, samples)
+        period = np.eye(n * (longest + 1))
+        for delay, entry in list(zip(history, entries, strict=True))[-2 * len(delays) :]:
+            A_c, A_d = plant.closed_loop(schedule.gain(int(entry)))
+            step = np.eye(n * (longest + 1), k=-n)
+            step[:n, :n] += A_c
+            step[:n, n * delay : n * (delay + 1)] += A_d
+            period = step @ period
+        growth = np.abs(np.linalg.eigvals(period)).max() ** (0.5 / len(delays))
+        if expected is None:
+            assert growth < 0.98
+        else:
+            assert growth == pytest.approx(expected, abs=1e-3)
 
 
 def test_json_is_lossless(schedule):

@@ -29,6 +29,7 @@ from hiersched.scenario import (
     scenario_to_dict,
     scenario_to_yaml,
 )
+from hiersched.scenario.schema import Control, GainMethod
 
 
 @pytest.mark.parametrize(
@@ -81,6 +82,20 @@ def test_designs(tiny: Scenario) -> None:
     assert design_of(tiny, study_scenario(tiny, "razumikhin", "adjusted")) == "schedule_razumikhin"
     with pytest.raises(ValueError, match="no gain schedule"):
         design_of(tiny, replace(tiny, control=replace(tiny.control, weight=1.0)))
+
+
+def test_predictors_are_not_held_and_what_replaces_one_is(tiny: Scenario) -> None:
+    def hold(control: Control, method: GainMethod) -> int:
+        return study_scenario(
+            replace(tiny, control=control), method, "adjusted"
+        ).control.hold_samples
+
+    own, predictor = tiny.control, replace(tiny.control, method="predictor", hold_samples=0)
+    assert hold(replace(own, hold_samples=3), "predictor") == 0
+    assert hold(replace(own, hold_samples=3), "razumikhin") == 3
+    assert hold(replace(own, hold_samples=0), "razumikhin") == 0
+    assert hold(predictor, "predictor") == 0
+    assert hold(predictor, "krasovskii") == 5
 
 
 def test_groups(tiny: Scenario) -> None:
