@@ -18,8 +18,10 @@ and skewed: late shares, backlogs, delays, errors."""
 INTERVAL_NOTE = (
     "Means over worlds, in brackets their 95 % intervals: Student t for rates, the dexterity index "
     "and the delay in samples; for all else, which is skewed, the generalised pivotal interval of "
-    "a lognormal mean (Krishnamoorthy and Mathew 2003; with zeros, Tian 2005). Where a share is 0 "
-    "in all worlds, `<` stands before the least mean that so many worlds tell from 0."
+    "a lognormal mean (Krishnamoorthy and Mathew 2003; with zeros, Tian 2005 and Hannig 2009). "
+    "Bounds of shares are cut at 1. Where a share is above 0 in a single world, its logarithm is "
+    "taken to spread by 1.6; where it is 0 in all worlds, `<` stands before the least mean that so "
+    "many worlds tell from 0."
 )
 
 
