@@ -19,10 +19,10 @@ RUN := env PATH="$(BIN):$$PATH" OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help install paper smoke readme test lint format bench clean distclean
+.PHONY: help install paper smoke readme test lint format bench bench-short clean distclean
 
 help:  ## list the targets
-	@awk -F ':.*## ' '/^[a-z]+:.*## /{printf "  make %-10s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-11s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 install: $(STAMP)  ## create the virtual environment (the other targets do it when needed)
 
@@ -61,8 +61,11 @@ format: $(STAMP)  ## let the formatters have their way
 	$(RUN) ruff format .
 	$(RUN) snakefmt Snakefile workflow
 
-bench: $(STAMP)  ## speed of the simulator, the allocators, the learners and the log
+bench: $(STAMP)  ## speed of the slot loop, the log, the gain design and the learners
 	$(RUN) python benchmarks/run.py
+
+bench-short: $(STAMP)  ## the same way with less work, in half a minute: does it still run?
+	$(RUN) python benchmarks/run.py --short
 
 clean:  ## remove caches and build leftovers (results/ and the environment stay)
 	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .benchmarks

@@ -1,66 +1,79 @@
 """Speed of learning at the paper's size, beside stable-baselines3's DDPG on the same environment.
 
-python benchmarks/bench_learning.py
+python benchmarks/bench_learning.py [--short]
+
+A round is one episode in every world of every seed; the first one, in which DDPG warms up, is left
+out. stable-baselines3 is an extra (pip install 'hiersched[sb3]'); without it there is no such line.
 """
 
 from __future__ import annotations
 
 import importlib.util
-import logging
 import tempfile
 import time
 import warnings
 from dataclasses import replace
 from pathlib import Path
 
+from common import Figure, cpu_seconds, main, paper
+
+# isort: split
 import numpy as np
 
 from hiersched.env import SlicingEnv
 from hiersched.learning.policy import single_thread
 from hiersched.learning.trainer import Trainer
+from hiersched.randomness import world_keys
 from hiersched.runs.gains import design_gains
-from hiersched.scenario import Scenario, load_scenario
-from hiersched.simulator import Gains
+from hiersched.scenario import Scenario
+from hiersched.simulator import Gains, Simulator
 from hiersched.simulator.gains import loop_gains
 
-CONFIG = Path(__file__).resolve().parents[1] / "config"
 SEEDS = tuple(range(1, 11))
-SB3_SLOTS = 2000
-
 VARIANTS = {
-    "ddpg, shared 64-64": {},
-    "ddpg, mlp 64-64": {"network": "mlp"},
-    "a2c, shared 64-64": {"algorithm": "a2c"},
-    "a2c, shared 32-32": {"algorithm": "a2c", "hidden": (32, 32)},
-    "a2c, mlp 64-64": {"algorithm": "a2c", "network": "mlp"},
-    "a2c, mlp, 38 worlds": {"algorithm": "a2c", "network": "mlp", "num_envs": 38},
+    "ddpg, shared 64-64": ({}, 0.011),
+    "ddpg, mlp 64-64": ({"network": "mlp"}, 0.025),
+    "a2c, shared 64-64": ({"algorithm": "a2c"}, 0.07),
+    "a2c, shared 32-32": ({"algorithm": "a2c", "hidden": (32, 32)}, 0.1),
+    "a2c, mlp 64-64": ({"algorithm": "a2c", "network": "mlp"}, 0.15),
+    "a2c, mlp, 38 worlds": ({"algorithm": "a2c", "network": "mlp", "num_envs": 38}, 0.15),
 }
+"""Name -> keys of `learning` that differ from the scenario's, and the least speed as a multiple of
+the speed of the same worlds under proportional fair, with nobody who learns."""
 
 
-def paper() -> tuple[Scenario, Gains]:
-    """The paper's scenario with ten seeds, and its gains."""
-    logging.getLogger("hiersched").setLevel(logging.ERROR)
-    scenario = load_scenario(CONFIG / "scenarios/paper.yaml", defaults=CONFIG / "defaults.yaml")
-    scenario = replace(scenario, learning=replace(scenario.learning, seeds=SEEDS))
+def learners(short: bool) -> tuple[Scenario, Gains]:
+    """The scenario `paper` with ten seeds (short: two, and episodes of 50 slots), and its gains."""
+    scenario = paper()
+    learning = replace(scenario.learning, seeds=SEEDS)
+    if short:
+        learning = replace(learning, seeds=SEEDS[:2], slots_per_episode=50)
+    scenario = replace(scenario, learning=learning)
     with tempfile.TemporaryDirectory() as folder:
         schedule = design_gains(scenario, "schedule", Path(folder, "schedule.json"))
     return scenario, loop_gains(schedule, scenario.control.gain)
 
 
 def round_seconds(scenario: Scenario, gains: Gains) -> float:
-    """CPU-seconds of a round of all seeds; the first one, in which DDPG warms up, is left out."""
+    """CPU-seconds of a round of all seeds, the second one."""
     trainer = Trainer(scenario, gains)
     with single_thread():
         trainer.run_round(lambda record, slot: None)
-        start = time.process_time()
-        trainer.run_round(lambda record, slot: None)
-        return time.process_time() - start
+        return cpu_seconds(lambda: trainer.run_round(lambda record, slot: None))
 
 
-def stable_baselines_seconds(scenario: Scenario, gains: Gains) -> float | None:
-    """CPU-seconds a slot of stable-baselines3's DDPG, one update of one agent a slot, or None."""
-    if importlib.util.find_spec("stable_baselines3") is None:
-        return None
+def simulator_seconds(scenario: Scenario, gains: Gains) -> float:
+    """CPU-seconds of the same worlds under proportional fair."""
+    learning = scenario.learning
+    keys = world_keys("bench", 1, len(learning.seeds) * learning.num_envs)
+    simulator = Simulator(scenario, gains, keys, learning.slots_per_episode)
+    record = simulator.run("pf")  # compiles
+    simulator.reset(keys)
+    return cpu_seconds(lambda: simulator.run("pf", record=record))
+
+
+def stable_baselines_seconds(scenario: Scenario, gains: Gains, slots: int) -> float:
+    """CPU-seconds a slot of stable-baselines3's DDPG: one agent, one update a slot."""
     from gymnasium.wrappers import FlattenObservation
     from stable_baselines3 import DDPG
     from stable_baselines3.common.noise import NormalActionNoise
@@ -80,40 +93,53 @@ def stable_baselines_seconds(scenario: Scenario, gains: Gains) -> float | None:
             device="cpu",
             seed=SEEDS[0],
         )
-        model.learn(10 * learning.batch_size)
+        model.learn(2 * learning.batch_size)
         start = time.process_time()
-        model.learn(SB3_SLOTS, reset_num_timesteps=False)
-        return (time.process_time() - start) / SB3_SLOTS
+        model.learn(slots, reset_num_timesteps=False)
+        return (time.process_time() - start) / slots
 
 
-def run() -> dict[str, tuple[float, float]]:
-    """Print a table; return slots/s and CPU-minutes of the whole training by name."""
-    scenario, gains = paper()
-    result = {}
-    print(f"learning, {len(SEEDS)} seeds side by side, two agents each, CPU time")
-    for name, changes in VARIANTS.items():
-        learning = replace(scenario.learning, **changes)
-        seconds = round_seconds(replace(scenario, learning=learning), gains)
-        slots = len(SEEDS) * learning.num_envs * learning.slots_per_episode
+def run(short: bool) -> list[Figure]:
+    """Slots per CPU-second of a round."""
+    scenario, gains = learners(short)
+    figures = []
+    speeds = {}
+    for name, (changes, least) in VARIANTS.items():
+        own = replace(scenario, learning=replace(scenario.learning, **changes))
+        learning = own.learning
+        seconds, alone = round_seconds(own, gains), simulator_seconds(own, gains)
+        worlds = len(learning.seeds) * learning.num_envs
+        speeds[name] = worlds * learning.slots_per_episode / seconds
         minutes = seconds * (learning.episodes // learning.num_envs) / 60.0
-        result[name] = (slots / seconds, minutes)
-        print(f"  {name:22s} {slots / seconds:8,.0f} slots/s, {minutes:6.2f} min")
-    per_slot = stable_baselines_seconds(scenario, gains)
-    if per_slot is None:
-        print("  stable-baselines3      skipped: not installed (pip install 'hiersched[sb3]')")
-        return result
+        figures.append(
+            Figure(
+                name=f"learning, {name}, {len(learning.seeds)} seeds "
+                f"({minutes:.2f} CPU-min for all episodes, extrapolated)",
+                value=speeds[name],
+                unit="slots/s",
+                reference=f"pf in the same {worlds} worlds",
+                ratio=alone / seconds,
+                at_least=least,
+            )
+        )
+    if importlib.util.find_spec("stable_baselines3") is None:
+        return figures
+    per_slot = stable_baselines_seconds(scenario, gains, 200 if short else 2000)
+    ours = next(iter(VARIANTS))
     learning = scenario.learning
-    slots = len(SEEDS) * learning.episodes * learning.slots_per_episode
-    minutes = slots * per_slot / 60.0
-    result["stable-baselines3"] = (1.0 / per_slot, minutes)
-    print(
-        f"  stable-baselines3      {1.0 / per_slot:8,.0f} slots/s, {minutes:6.1f} min "
-        f"(one agent, seed after seed, one update of {learning.batch_size} a slot; extrapolated "
-        f"from {SB3_SLOTS} slots.\n   Ours: one update of {learning.batch_size} every "
-        f"{learning.num_envs} slots, of two agents with every user's rows)"
+    figures.append(
+        Figure(
+            name="learning, ddpg of stable-baselines3, one seed (one agent, an update a slot; ours "
+            f"two agents, one every {learning.num_envs} slots)",
+            value=1.0 / per_slot,
+            unit="slots/s",
+            reference=f"ours, {ours}",
+            ratio=1.0 / (per_slot * speeds[ours]),
+            at_most=0.13,
+        )
     )
-    return result
+    return figures
 
 
 if __name__ == "__main__":
-    run()
+    main(run, __doc__)

@@ -1,23 +1,28 @@
 """Speed of the log: our writer and reader against the stock ones of the mcap package.
 
-    python benchmarks/bench_log.py [slots]
+python benchmarks/bench_log.py [--short]
 
-Two kinds of slots: recorded ones, of the paper scenario under PF, and random ones, in which every
+Two kinds of slots: recorded ones, of the scenario `paper` under PF, and random ones, in which every
 mantissa is noise, the worst that compression can meet. Speeds are slots per CPU-second, medians of
-rounds in which the contenders take turns; the ratios mean more than the speeds. Last, what share of
-an evaluation's time goes into its logs.
+rounds in which the contenders take turns. Last, what share of an evaluation's time goes into its
+logs: the stage itself runs, in half of the scenario's worlds.
 """
 
 from __future__ import annotations
 
+import contextlib
+import io
 import statistics
-import sys
 import tempfile
-import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest import mock
 
+from common import Figure, cpu_seconds, main, paper
+
+# isort: split
 import numpy as np
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
@@ -26,24 +31,34 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.decoder import DecoderFactory
 
-from hiersched.control import GainSchedule
 from hiersched.env.features import num_features
 from hiersched.learning.networks import NETWORKS, Slices
-from hiersched.learning.policy import Policy, rollout
+from hiersched.learning.policy import Policy
 from hiersched.log import TOPICS, LogDims, LogReader, LogWriter
 from hiersched.log.schema import descriptor_set, topics_in
 from hiersched.randomness import world_keys
-from hiersched.runs.gains import design_gains, load_gains
-from hiersched.runs.logging import RunLabel, log_block, open_log
-from hiersched.scenario import Scenario, load_scenario
-from hiersched.simulator import Simulator, SlotRecord
+from hiersched.runs import evaluate as stage
+from hiersched.runs import paths
+from hiersched.runs.gains import design_gains
+from hiersched.runs.learned import LearnedRunner
+from hiersched.runs.policies import PolicyRunner, run_classical
+from hiersched.scenario import Scenario
+from hiersched.simulator import Simulator
 from hiersched.simulator.gains import LoopGains, plant_of
 
 DIMS = LogDims(num_urllc=10, num_embb=10, num_prb=25)
 SLOT_NS = 10_000_000
 BLOCK = 256
-ROUNDS = 5
 INTEGERS = {"prb_owner": 20, "num_prb": 3, "arrivals_packets": 30, "due_packets": 30}
+LEAST = {
+    ("write", "zstd"): 4.0,
+    ("read", "zstd"): 7.0,
+    ("write", "none"): 7.0,
+    ("read", "none"): 10.0,
+}
+"""Least speed of ours, as a multiple of the stock one's."""
+SHARES = {"classical": 0.8, "learned": 0.07, "all policies": 0.12}
+"""Most of an evaluation's time that its logs may take."""
 
 
 def random_fields(slots: int, dims: LogDims = DIMS, seed: int = 0) -> dict[str, Any]:
@@ -62,8 +77,8 @@ def random_fields(slots: int, dims: LogDims = DIMS, seed: int = 0) -> dict[str, 
 
 
 def paper_simulator(worlds: int, slots: int) -> Simulator:
-    """Worlds of the paper scenario, with the nominal gain whatever the delay."""
-    scenario = load_scenario("paper", defaults=Path("config/defaults.yaml"))
+    """Worlds of the scenario `paper`, with the nominal gain whatever the delay."""
+    scenario = paper()
     gain = plant_of(scenario).nominal_gain
     network = np.repeat(gain[None], scenario.max_delay_steps + 1, axis=0)
     gains = LoopGains.memoryless(network)
@@ -138,63 +153,57 @@ def read_stock(path: Path) -> None:
         np.stack(column)
 
 
-def cpu_seconds(work: Callable[[], None]) -> float:
-    start = time.process_time()
-    work()
-    return time.process_time() - start
+def evaluation_of(seeds: int, length: float) -> Scenario:
+    """Scenario `paper` with so many evaluated worlds, and their length as a multiple of its own."""
+    scenario = paper()
+    own = scenario.evaluate
+    evaluation = replace(
+        own,
+        seeds=tuple(range(1, seeds + 1)),
+        warmup_s=round(length * own.warmup_s, 2),
+        duration_s=round(length * own.duration_s, 2),
+        full_logs=max(1, round(seeds / len(own.seeds) * own.full_logs)),
+        full_log_s=round(length * own.full_log_s, 2),
+    )
+    return replace(scenario, evaluate=evaluation)
 
 
-def logging_times(worlds: int = 2, slots: int = 1400) -> dict[str, tuple[float, float]]:
-    """CPU time [us a slot] of computing and of logging the evaluation of scenario `paper`.
-
-    By policy, as the stage runs it: classical schedulers with all worlds side by side, each learned
-    policy in a world of its own; full logs, with attachments and events.
-    """
-    scenario = load_scenario("paper", defaults=Path("config/defaults.yaml"))
-    times: dict[str, list[tuple[float, float]]] = {}
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        design_gains(scenario, "schedule", folder / "gains.json")
-        schedule, gains = load_gains(folder / "gains.json", scenario)
-        for _ in range(ROUNDS):
-            for policy in scenario.evaluate.policies:
-                side_by_side = 1 if policy in scenario.learned else worlds
-                run = runner(scenario, policy)
-                computing = logging = 0.0
-                for first in range(0, worlds, side_by_side):
-                    keys = world_keys("bench", 1 + first, side_by_side)
-                    simulator = Simulator(scenario, gains, keys, slots)
-                    records: list[SlotRecord] = []
-                    computing += cpu_seconds(lambda r=records, s=simulator, w=run: r.append(w(s)))
-                    logging += cpu_seconds(
-                        lambda r=records: write_evaluation(folder, scenario, schedule, r[0])
-                    )
-                per_slot = 1e6 / (worlds * slots)
-                times.setdefault(policy, []).append((computing * per_slot, logging * per_slot))
-    return {
-        name: (statistics.median(c for c, _ in rounds), statistics.median(t for _, t in rounds))
-        for name, rounds in times.items()
-    }
+def evaluation_seconds(scenario: Scenario, folder: Path) -> dict[str, tuple[float, float]]:
+    """CPU-seconds of the stage by policy: all of it, and what goes into its logs."""
+    seconds = {}
+    evaluation = scenario.evaluate
+    for policy in evaluation.policies:
+        group, run = "classical", run_classical
+        if policy in scenario.learned:
+            group, run = policy, learned_runner(scenario, policy, folder)
+        alone = replace(scenario, evaluate=replace(evaluation, policies=(policy,)))
+        seconds[policy] = stage_seconds(alone, folder, group, run)
+    return seconds
 
 
-def runner(scenario: Scenario, policy: str) -> Callable[[Simulator], SlotRecord]:
-    """What runs a policy of the evaluation to the horizon."""
-    if policy in scenario.learned:
-        learned = some_policy(scenario, policy)
-        return lambda simulator: rollout(simulator, learned)
-    return lambda simulator: simulator.run(policy)
+def stage_seconds(
+    scenario: Scenario, folder: Path, group: str, run: PolicyRunner
+) -> tuple[float, float]:
+    """CPU-seconds of one call of the stage: all of it, and its calls of `write_log`."""
+    logs: list[float] = []
+
+    def timed(*args: Any, **kwargs: Any) -> None:
+        logs.append(cpu_seconds(lambda: write_log(*args, **kwargs)))
+
+    write_log = stage.write_log
+    with (
+        mock.patch.object(stage, "write_log", timed),
+        contextlib.redirect_stdout(io.StringIO()),
+    ):
+        whole = cpu_seconds(lambda: stage.evaluate(scenario, folder, group, run))
+    return whole, sum(logs)
 
 
-def write_evaluation(
-    folder: Path, scenario: Scenario, schedule: GainSchedule, record: SlotRecord
-) -> None:
-    """Log every world of a record as the stage does."""
-    for world in range(len(record.prb_owner)):
-        path = folder / f"{world}.mcap"
-        path.unlink(missing_ok=True)  # replacing a file makes ext4 flush the new one
-        label = RunLabel(stage="evaluate", policy="any", seed=world)
-        with open_log(path, scenario, schedule, label, profile="full") as writer:
-            log_block(writer, scenario, schedule, record.environment(world))
+def learned_runner(scenario: Scenario, learner: str, folder: Path) -> LearnedRunner:
+    """A policy of its own for every world, as after a training with so many seeds."""
+    path = folder / f"{learner}.pt"
+    some_policy(scenario, learner).save(path)
+    return LearnedRunner([path] * len(scenario.evaluate.seeds))
 
 
 def some_policy(scenario: Scenario, learner: str) -> Policy:
@@ -220,14 +229,14 @@ def some_policy(scenario: Scenario, learner: str) -> Policy:
     )
 
 
-def measure(fields: dict[str, Any], folder: Path) -> dict[str, float]:
+def speeds(fields: dict[str, Any], folder: Path, rounds: int) -> dict[str, float]:
     """Slots per CPU-second, and bytes a slot, by contender."""
     slots = len(fields["prb_owner"])
     few = slots // 20
     short = {name: array[:few] for name, array in fields.items()}
-    speeds: dict[str, list[float]] = {}
+    seen: dict[str, list[float]] = {}
     ours, stock = folder / "ours.mcap", folder / "stock.mcap"
-    for _ in range(ROUNDS):
+    for _ in range(rounds):
         for packing in ("zstd", "none"):
             contenders: list[tuple[str, int, Callable[[], None]]] = [
                 ("write", slots, lambda p=packing: write_ours(ours, fields, p)),
@@ -238,37 +247,68 @@ def measure(fields: dict[str, Any], folder: Path) -> dict[str, float]:
             for name, count, work in contenders:
                 if "write" in name:  # replacing a file makes ext4 flush the new one
                     (stock if "stock" in name else ours).unlink(missing_ok=True)
-                seconds = cpu_seconds(work)
-                speeds.setdefault(f"{name} {packing}", []).append(count / seconds)
-            speeds.setdefault(f"bytes {packing}", []).append(ours.stat().st_size / slots)
-    return {name: statistics.median(values) for name, values in speeds.items()}
+                seen.setdefault(f"{name} {packing}", []).append(count / cpu_seconds(work))
+            seen.setdefault(f"bytes {packing}", []).append(ours.stat().st_size / slots)
+    return {name: statistics.median(values) for name, values in seen.items()}
 
 
-def run(slots: int = 20_000) -> dict[str, float]:
-    """Print tables and return slots per CPU-second by contender, for recorded slots."""
-    kinds = {"random": random_fields(slots), "recorded": recorded_fields(slots)}
-    result: dict[str, float] = {}
-    for kind, fields in kinds.items():
-        with tempfile.TemporaryDirectory() as folder:
-            result = measure(fields, Path(folder))
-        print(f"log, {slots} {kind} slots of 20 users, 25 PRBs, 10 robots, profile full")
-        for packing in ("zstd", "none"):
-            for what in ("write", "read"):
-                ours_speed = result[f"{what} {packing}"]
-                ratio = ours_speed / result[f"stock {what} {packing}"]
-                print(
-                    f"  {what:5} {packing:4} {ours_speed:10,.0f} slots/s  {ratio:6.1f} x stock  "
-                    f"{result[f'bytes {packing}']:6.0f} B/slot"
-                )
-    print("evaluation of scenario paper [CPU us a slot]: computing, logging, share of logging")
-    times = logging_times()
-    whole = tuple(sum(column) for column in zip(*times.values(), strict=True))
-    for policy, (computing, logging) in {**times, "all policies": whole}.items():
-        share = logging / (computing + logging)
-        result[f"share {policy}"] = share
-        print(f"  {policy:20}{computing:8.1f}{logging:8.1f}{100 * share:6.0f} %")
-    return result
+def against_stock(kind: str, fields: dict[str, Any], rounds: int) -> list[Figure]:
+    """Writing and reading full logs of slots of one kind."""
+    with tempfile.TemporaryDirectory() as folder:
+        result = speeds(fields, Path(folder), rounds)
+    size = {packing: result[f"bytes {packing}"] for packing in ("zstd", "none")}
+    return [
+        Figure(
+            name=f"{what} a full log, {kind} slots, {packing} ({size[packing]:.0f} B/slot)",
+            value=result[f"{what} {packing}"],
+            unit="slots/s",
+            reference=f"mcap package, {what}, {packing}",
+            ratio=result[f"{what} {packing}"] / result[f"stock {what} {packing}"],
+            at_least=least,
+        )
+        for (what, packing), least in LEAST.items()
+    ]
+
+
+def logging_shares(scenario: Scenario) -> list[Figure]:
+    """What the logs cost an evaluation: schedulers, learned policies (one a world), and all."""
+    evaluation = scenario.evaluate
+    seeds = len(evaluation.seeds)
+    slots = seeds * round((evaluation.warmup_s + evaluation.duration_s) / scenario.radio.slot_s)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        design_gains(scenario, "schedule", folder / paths.gain_file("schedule"))
+        seconds = evaluation_seconds(scenario, folder)
+    groups = {
+        "classical": [p for p in evaluation.policies if p not in scenario.learned],
+        "learned": [p for p in evaluation.policies if p in scenario.learned],
+        "all policies": list(evaluation.policies),
+    }
+    figures = []
+    for group, policies in groups.items():
+        whole, logs = (sum(seconds[policy][part] for policy in policies) for part in (0, 1))
+        figures.append(
+            Figure(
+                name=f"logs of an evaluation, {group}, profile {scenario.log.evaluate_profile}",
+                value=1e6 * logs / (len(policies) * slots),
+                unit="us a slot and policy",
+                reference=f"the evaluation, {1e6 * whole / (len(policies) * slots):.1f} us",
+                ratio=logs / whole,
+                at_most=SHARES[group],
+            )
+        )
+    return figures
+
+
+def run(short: bool) -> list[Figure]:
+    """Slots per CPU-second by contender, and the logs' share of an evaluation."""
+    slots, rounds = (1000, 1) if short else (20_000, 5)
+    return [
+        *against_stock("random", random_fields(slots), rounds),
+        *against_stock("recorded", recorded_fields(slots), rounds),
+        *logging_shares(evaluation_of(seeds=1 if short else 5, length=0.1 if short else 1.0)),
+    ]
 
 
 if __name__ == "__main__":
-    run(*map(int, sys.argv[1:2]))
+    main(run, __doc__)

@@ -1,0 +1,58 @@
+"""The Python snippets of the pages run from top to bottom, each page's in one namespace.
+
+Those of docs/control.md need nothing. README.md and docs/log.md read results, of `make paper`: they
+run on those of `make smoke` if HIERSCHED_RESULTS says where they lie, as `.ci/run` does.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+
+import pytest
+
+BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+RESULTS = os.environ.get("HIERSCHED_RESULTS")
+ON_SMOKE = {
+    'load_scenario("paper")': 'load_scenario("smoke")',
+    "results/paper": RESULTS or "",
+    "seed1001": "seed101",
+    '"run.mcap"': f'"{RESULTS}/eval/pf/seed101_full.mcap"',
+}
+"""What a page says of its own results -> the same of the small pipeline's."""
+
+PAGES = {
+    "docs/control.md": {},
+    "README.md": ON_SMOKE,
+    "docs/log.md": ON_SMOKE,
+}
+"""Page -> what is put in place of what."""
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_snippets_run_from_top_to_bottom(page, project_root, monkeypatch):
+    """Each block is compiled with its line numbers, so that a failure names the page's line."""
+    if PAGES[page] and RESULTS is None:
+        pytest.skip("reads the results of make smoke: HIERSCHED_RESULTS=results/smoke")
+    monkeypatch.chdir(project_root)
+    path = project_root / page
+    text = path.read_text(encoding="utf-8")
+    assert len(BLOCK.findall(text)) == text.count("```python") > 0
+    for said, meant in PAGES[page].items():
+        text = text.replace(said, meant)
+    namespace = {"__name__": path.stem}
+    for block in BLOCK.finditer(text):
+        lines_above = text.count("\n", 0, block.start(1))
+        exec(compile("\n" * lines_above + block.group(1), str(path), "exec"), namespace)
+
+
+def test_every_page_with_snippets_is_run(project_root: Path) -> None:
+    pages = [*project_root.glob("*.md"), *project_root.glob("docs/*.md")]
+    pages += project_root.glob("config/*.md")
+    found = {
+        path.relative_to(project_root).as_posix()
+        for path in pages
+        if "```python" in path.read_text(encoding="utf-8")
+    }
+    assert found == set(PAGES)
