@@ -60,7 +60,7 @@ def test_events_say_where_trouble_begins(tiny: Scenario, designed) -> None:
 
 
 def test_uncertified_gains_are_reported_while_they_are_in_force(tiny: Scenario) -> None:
-    control = replace(tiny.control, method="predictor")
+    control = replace(tiny.control, method="predictor", hold_samples=0)
     scenario = replace(tiny, control=control)
     schedule = build_schedule(plant_of(scenario), scenario.max_delay_steps, "predictor")
     assert schedule.status == ("nominal", "uncertified", "uncertified")

@@ -78,7 +78,7 @@ def twin(simulator, gains, record, env, robot):
         (PLANT, 0.01, {}),
         (PLANT, 0.02, {"hold_samples": 3}),
         (PLANT, 0.01, {"gain": "nominal"}),
-        (PLANT, 0.01, {"method": "predictor"}),
+        (PLANT, 0.01, {"method": "predictor", "hold_samples": 0}),
         (COUPLED, 0.01, {}),
     ],
 )

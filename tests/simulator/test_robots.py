@@ -32,7 +32,7 @@ def test_command_uses_the_delayed_state_and_the_gain_of_its_delay(make_simulator
     rng = np.random.default_rng(1)
     gains = LoopGains.memoryless(rng.normal(size=(count, 2, 5)))
     quiet = {**STILL, "slip_speed_mps": 0.05, "slip_turn_rate_radps": 0.2, **FREE}
-    simulator = make_simulator(1, 60, gains=gains, robot=quiet)
+    simulator = make_simulator(1, 60, gains=gains, robot=quiet, control={"hold_samples": 0})
     delay_s = rng.uniform(0.0, 0.3, (1, 60, 4))
     record = simulator.run_robots(delay_s)
     steps = np.ceil(delay_s / 0.02).astype(int)
@@ -57,11 +57,12 @@ def test_command_uses_the_delayed_state_and_the_gain_of_its_delay(make_simulator
 
 def test_a_predictor_undoes_the_delay(make_simulator, smoke_scenario):
     """Slot loop against x⁺ = A x + B u in NumPy: tiny errors, so linear; delays that vary."""
-    scenario = replace(smoke_scenario, control=replace(smoke_scenario.control, method="predictor"))
+    unheld = {"method": "predictor", "hold_samples": 0}
+    scenario = replace(smoke_scenario, control=replace(smoke_scenario.control, **unheld))
     plant = plant_of(scenario)
     gains = loop_gains(build_schedule(plant, scenario.max_delay_steps, "predictor"), "adjusted")
     robot = {**STILL, **FREE, "reference": "straight"}
-    simulator = make_simulator(1, 80, gains=gains, robot=robot, control={"method": "predictor"})
+    simulator = make_simulator(1, 80, gains=gains, robot=robot, control=unheld)
     start = 1e-5 * np.array([1.0, -2.0, 1.5, 0.0, 0.0])
     simulator.state.robots.set_state(start)
     delay_s = 0.02 * np.repeat(np.random.default_rng(6).integers(0, 13, (1, 40, 4)), 2, axis=1)
@@ -146,7 +147,8 @@ def test_the_log_says_which_gain_is_in_force(make_simulator, smoke_scenario):
     delay_s = np.repeat(np.random.default_rng(5).uniform(0.0, 0.2, (1, 20, 4)), 2, axis=1)
     constant = LoopGains.memoryless(np.repeat(network[:1], count, axis=0))
     nominal = make_simulator(1, 40, gains=constant).run_robots(delay_s)
-    adjusted = make_simulator(1, 40, gains=gains).run_robots(delay_s)
+    unheld = {"hold_samples": 0}
+    adjusted = make_simulator(1, 40, gains=gains, control=unheld).run_robots(delay_s)
     assert not nominal.gain_delay_steps.any()
     steps = adjusted.delay_steps
     expected = np.where((steps == 1) | (steps == 3), 0, steps)
