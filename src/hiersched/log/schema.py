@@ -30,13 +30,14 @@ METADATA_NAME = "hiersched"
 EVENTS_TOPIC = "/events"
 EVENTS_SCHEMA = "foxglove.Log"
 
-Profile = Literal["full", "compact", "decisions"]
+Profile = Literal["full", "compact", "decisions", "robots"]
 PROFILES: tuple[str, ...] = get_args(Profile)
 
 # Which profiles contain a field. Whatever a smaller one leaves out, replay computes again.
-_ALL = PROFILES
+_DECISIONS = ("full", "compact", "decisions")
 _FULL = ("full",)
 _COMPACT = ("full", "compact")  # what the study reads of a run, besides the decisions
+_ROBOTS = ("full", "compact", "robots")  # what the study reads of robots that run alone
 _SUMS = ("decisions",)  # of slices, in place of the users' numbers
 
 
@@ -112,7 +113,7 @@ class Field:
     number: int
     dtype: str
     shape: tuple[str | int, ...]
-    profiles: tuple[str, ...] = _ALL
+    profiles: tuple[str, ...] = _DECISIONS
 
     def concrete_shape(self, dims: LogDims) -> tuple[int, ...]:
         """Shape of one slot's value for given dimensions."""
@@ -157,7 +158,7 @@ class Topic:
 
 def _topic(name: str, *fields: tuple[Any, ...], stored: bool = False) -> tuple[str, Topic]:
     """Entry of the table: fields are numbered in order, after `slot` = 1."""
-    numbered = [Field("slot", 1, "<u8", ())]
+    numbered = [Field("slot", 1, "<u8", (), PROFILES)]
     numbered += [Field(f[0], i, *f[1:]) for i, f in enumerate(fields, start=2)]
     message = "hiersched." + name.removeprefix("/").capitalize()
     return name, Topic(name, message, tuple(numbered), stored)
@@ -211,15 +212,15 @@ TOPICS: Mapping[str, Topic] = MappingProxyType(
             _topic(
                 "/robots",
                 ("network_delay_s", "<f8", ("R",), _FULL),
-                ("delay_steps", "<u4", ("R",), _COMPACT),
-                ("delay_capped", "<u4", ("R",), _COMPACT),
+                ("delay_steps", "<u4", ("R",), _ROBOTS),
+                ("delay_capped", "<u4", ("R",), _ROBOTS),
                 ("gain_delay_steps", "<u4", ("R",), _FULL),
                 ("state", "<f8", ("R", "N"), _FULL),
                 ("reference", "<f8", ("R", 5), _FULL),
                 ("control", "<f8", ("R", "M"), _FULL),
-                ("control_saturated", "<u4", ("R",), _COMPACT),
-                ("tracking_error_m", "<f8", ("R",), _COMPACT),
-                ("dexterity_index", "<f8", ("R",), _COMPACT),
+                ("control_saturated", "<u4", ("R",), _ROBOTS),
+                ("tracking_error_m", "<f8", ("R",), _ROBOTS),
+                ("dexterity_index", "<f8", ("R",), _ROBOTS),
             ),
             _topic(
                 "/slices",

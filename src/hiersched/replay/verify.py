@@ -150,8 +150,10 @@ def _forced_delays(run: LoggedRun, batch: Batch) -> NDArray[np.float64]:
 def _start(run: LoggedRun, batch: Batch, logged: Fields) -> tuple[Simulator, NDArray[np.float64]]:
     """Episodes that begin, and their multipliers (E, R), which keep their first values."""
     keys = run.keys[batch.first_env : batch.first_env + batch.num_envs]
-    first: NDArray[np.float64] = logged["multiplier"][:, 0].copy()
-    multipliers = np.zeros_like(first) if run.policy in CLASSICAL else first
+    if run.policy in CLASSICAL or run.stage == "gain_study":
+        multipliers = np.zeros((len(keys), run.scenario.users.num_urllc))
+    else:
+        multipliers = logged["multiplier"][:, 0].copy()
     return Simulator(run.scenario, run.gains, keys, run.episode_slots), multipliers
 
 

@@ -74,9 +74,13 @@ def crossed_value(value: str) -> tuple[str, str]:
 def swept_policies(scenario: Scenario, axis: str) -> tuple[str, ...]:
     """Policies of a sweep: along the load, which decides most, all that are evaluated.
 
-    The exact optimum runs where a scenario names it and nowhere else: it is slow.
+    Along the axes that question a single claim the scenario's own learner and PF run. The exact
+    optimum runs where a scenario names it and nowhere else: it is slow.
     """
     named: tuple[str, ...] = scenario.sweeps.policies
+    if axis in ("load_ratio", "service_coefficient_mbps"):
+        pair = (scenario.learning.algorithm, "pf")
+        return tuple(policy for policy in named if policy in pair)
     if axis != "load":
         return named
     evaluated = [policy for policy in scenario.evaluate.policies if policy != "exact"]

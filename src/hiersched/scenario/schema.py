@@ -290,7 +290,7 @@ class Log:
     train_profile: Literal["full", "compact", "decisions"]
     evaluate_profile: Literal["full", "compact", "decisions"]
     sweep_profile: Literal["full", "compact", "decisions"]
-    gain_study_profile: Literal["full", "compact"]
+    gain_study_profile: Literal["full", "robots"]
 
 
 @dataclass(frozen=True, kw_only=True)
