@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -63,8 +64,8 @@ def test_a_log_says_what_it_is(
         tmp_path / "tiny.yaml", defaults=project_root / "config" / "defaults.yaml"
     )
     assert attached == tiny
-    schedule = (results / "gains/schedule.json").read_text(encoding="utf-8")
-    assert attachments["schedule.json"].decode() == schedule
+    schedule = json.loads((results / "gains/schedule.json").read_text(encoding="utf-8"))
+    assert json.loads(attachments["schedule.json"]) == schedule
 
 
 def test_logs_of_seeds_no_longer_asked_for_disappear(tiny: Scenario, results: Path) -> None:

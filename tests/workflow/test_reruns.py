@@ -23,11 +23,12 @@ SMOKE = "config/scenarios/smoke.yaml"
 GROUPS = ("classical", "ddpg", "a2c")
 ALWAYS = {"aggregate", "claims", "figures"}
 DDPG = {"train_ddpg", "evaluate_ddpg", *(f"sweep_{axis}_ddpg" for axis in SWEPT_KEYS)}
-DDPG |= {"generalise_ddpg", "bound"}
-A2C = {"train_a2c", "evaluate_a2c", "sweep_load_a2c", "generalise_a2c", "bound"}
-LEARNED = DDPG | A2C
+DDPG |= {"generalise_ddpg", "measure_ddpg", "bound"}
+A2C = {"train_a2c", "evaluate_a2c", "sweep_load_a2c", "generalise_a2c", "measure_a2c", "bound"}
+LEARNED = DDPG | A2C | {"train_frozen", "train_frozen_a2c"}
 CLASSICAL = {"evaluate_classical", *(f"sweep_{axis}_classical" for axis in SWEPT_KEYS)}
-CLASSICAL |= {"generalise_classical", "bound"}
+CLASSICAL |= {"generalise_classical", "measure_classical", "bound"}
+MEASURES = {f"measure_{group}" for group in GROUPS}
 GAIN_SWEEPS = {f"gain_sweep_{axis}" for axis in ("grid", "sampling_s", "noise")}
 EVERY_RUN = {*LEARNED, *CLASSICAL, "gain_study", *GAIN_SWEEPS}
 
@@ -63,6 +64,8 @@ def outputs(scenario: Scenario) -> list[str]:
         *paths.all_gain_files(scenario),
         *(name for learner in scenario.learned for name in paths.policy_files(scenario, learner)),
         *paths.all_logs(scenario),
+        *(name for group in GROUPS for name in paths.evaluation_outputs(scenario, group)),
+        *paths.measures_files(scenario),
         paths.RUNS,
         paths.BOUND,
         *paths.CLAIMS,
@@ -115,8 +118,8 @@ def test_comments_and_the_order_of_keys_run_nothing(tree: Path) -> None:
         tree,
         (
             SMOKE,
-            "  seeds: [101, 102]\n  duration_s: 3.0\n",
-            "  duration_s: 3.0 # why\n  seeds: [101, 102]\n",
+            "  seeds: [101, 102]\n  warmup_s: 1.0\n",
+            "  warmup_s: 1.0 # why\n  seeds: [101, 102]\n",
         ),
         ("src/hiersched/log/reader.py", module, f"# A remark.\n{module} again"),
         (
@@ -137,6 +140,7 @@ def test_a_value_runs_its_dependents(tree: Path) -> None:
             "evaluate_ddpg",
             "evaluate_a2c",
             "bound",
+            *MEASURES,
             *ALWAYS,
         }
 
@@ -157,15 +161,15 @@ def test_a_learners_own_key_runs_that_learner(tree: Path) -> None:
 
 def test_a_new_point_of_a_sweep_runs_that_sweep(tree: Path) -> None:
     with edited(tree, (SMOKE, "load: [0.85, 1.0]", "load: [0.85, 0.95]")):
-        assert (
-            to_run(tree)
-            == {f"sweep_load_{group}" for group in ("classical", "ddpg", "a2c")} | ALWAYS
-        )
+        assert to_run(tree) == {f"sweep_load_{group}" for group in GROUPS} | MEASURES | ALWAYS
 
 
 def test_a_new_sampling_interval_designs_its_gains(tree: Path) -> None:
     with edited(tree, (SMOKE, "sampling_s: [0.02, 0.05]", "sampling_s: [0.02, 0.04]")):
-        sweeps = {"sweep_sampling_s_classical", "sweep_sampling_s_ddpg"}
+        axes = ("sampling_s", "service_coefficient_mbps")
+        pair = ("classical", "ddpg")
+        sweeps = {f"sweep_{axis}_{group}" for axis in axes for group in pair}
+        sweeps |= {f"measure_{group}" for group in pair}
         gains = {"gains", "gain_sweep_sampling_s", "stability"}
         assert to_run(tree) == {*gains, *sweeps, *ALWAYS}
 
@@ -188,6 +192,7 @@ def test_the_regulator_runs_everything(tree: Path) -> None:
             ["learning/ddpg.py", "runs/gain_study.py"],
             {*LEARNED, "gain_study", *GAIN_SWEEPS, *ALWAYS},
         ),
+        (["study/metrics.py"], MEASURES | ALWAYS),
         (["network/schedulers.py"], {"gains", "kernels", "stability", *EVERY_RUN, *ALWAYS}),
     ],
 )
@@ -202,7 +207,7 @@ def test_a_missing_log_is_made_again(tree: Path) -> None:
     content, stat = log.read_bytes(), log.stat()
     log.unlink()
     try:
-        assert to_run(tree) == {"evaluate_classical", "bound", *ALWAYS}
+        assert to_run(tree) == {"evaluate_classical", "measure_classical", "bound", *ALWAYS}
     finally:
         log.write_bytes(content)
         os.utime(log, ns=(stat.st_atime_ns, stat.st_mtime_ns))

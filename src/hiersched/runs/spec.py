@@ -18,6 +18,8 @@ from hiersched.runs.variants import (
     group_policies,
     learner_scenario,
     swept_policies,
+    swept_values,
+    value_text,
 )
 from hiersched.scenario import Scenario, scenario_to_dict
 
@@ -192,9 +194,10 @@ def measure_values(scenario: Scenario, group: str) -> dict[str, Any]:
     """Pick what the measures of a group depend on, besides the logs: what is in which of them."""
     values = picked(scenario, KEYS["measure"])
     for axis in SWEPT_KEYS:
-        values |= picked(scenario, (f"sweeps.{axis}",))
         policies = group_policies(scenario, swept_policies(scenario, axis), group)
-        values[f"policies of {axis}"] = list(policies)
+        if policies:
+            points = [value_text(value) for value in swept_values(scenario, axis)]
+            values[f"sweep of {axis}"] = [*policies, *points]
     for section in ("evaluate", "generalise"):
         policies = group_policies(scenario, getattr(scenario, section).policies, group)
         values[f"policies of {section}"] = list(policies)

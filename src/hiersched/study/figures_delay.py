@@ -81,7 +81,7 @@ def _draw_shares(
             zorder=2,
         )
     names = [policy_look(policy, scenario.learned).label for policy in table["policy"]]
-    panel.set_yticks(range(len(table) + 1), [*names, "allowed at χ ="])
+    panel.set_yticks(range(len(table) + 1), [*names, "allowed at χ [%] ="])
     panel.tick_params(axis="y", length=0)
     panel.set_ylim(-0.6, len(table) + 0.5)
     panel.grid(visible=False, axis="y")
@@ -111,7 +111,7 @@ def _draw_levels(panel: Axes, scenario: Scenario, row: float) -> None:
             linestyle="-" if own else (0, (5, 3)),
             zorder=1,
         )
-        note_at(panel, _percent(level), 1.0 - level, row, ha="center", va="center")
+        note_at(panel, f"{100.0 * level:g}", 1.0 - level, row, ha="center", va="center")
 
 
 def _draw_tails(panel: Axes, tails: pd.DataFrame, scenario: Scenario) -> None:

@@ -10,9 +10,8 @@ from matplotlib.figure import Figure
 
 from hiersched.scenario import Scenario
 from hiersched.study.collect import BASELINE
-from hiersched.study.figures_standing import LOAD_PANELS
+from hiersched.study.figures_standing import LOAD_PANELS, spans_decades
 from hiersched.study.figures_training import checkpoint_curve, training_curve
-from hiersched.study.standing import BACKLOG
 from hiersched.study.style import (
     CONTROL,
     GREY,
@@ -76,15 +75,19 @@ def draw_learning(
                     linestyle=look.dashes,
                     marker=look.marker if frames is checkpoints else "none",
                     markersize=3.0,
-                    label=look.label,
+                    label="_"
+                    if learning.frozen and learner != _frozen(scenario)[0]
+                    else look.label,
                 )
-            panel.set_title(f"({letter}) {title}, {kind}")
+            panel.set_title(f"({letter}) {title}, {kind}", fontsize="medium")
             panel.set_ylabel(label)
             panel.set_xlim(-0.02, 1.02)
             if measure != "urllc_late_share":
                 lines = np.concatenate([line.get_ydata() for line in panel.get_lines()])
                 if lines.min() > 0.0:
                     panel.set_yscale("log")
+                    low, high = panel.get_ylim() if frames is checkpoints else (np.inf, 0.0)
+                    panel.set_ylim(min(low, 0.5 * lines.min()), max(high, 2.0 * lines.max()))
         if frames is checkpoints:
             for panel in axes:
                 panel.set_xlabel("share of the training [1]")
@@ -99,6 +102,11 @@ def draw_learning(
         "worlds for all. Episodes begin with empty queues.",
     )
     return figure
+
+
+def _frozen(scenario: Scenario) -> list[str]:
+    """List the learners that learn nothing: one of them names all."""
+    return [name for name, learning in scenario.learned.items() if learning.frozen]
 
 
 def _named(scenario: Scenario) -> list[str]:
@@ -137,7 +145,7 @@ def draw_learners(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
             drawn = table[[measure, f"{measure}_hi"]].to_numpy(dtype=np.float64)
             log_axis_with_zero(panel, floor, np.minimum(drawn, 1.0).ravel())
             panel.axhline(1.0 - scenario.traffic.reliability, color=GREY, linewidth=0.9)
-        elif measure == BACKLOG and (table[BACKLOG] > 0.0).all():
+        elif spans_decades(table, measure):
             panel.set_yscale("log")
         panel.set_title(f"({letter}) {title}")
         panel.set_ylabel(label)

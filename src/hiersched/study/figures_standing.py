@@ -36,6 +36,12 @@ LOAD_PANELS = (
 )
 
 
+def spans_decades(table: pd.DataFrame, measure: str) -> bool:
+    """Whether a positive measure or its bounds span more than a factor of ten."""
+    drawn = table[[measure, f"{measure}_lo", f"{measure}_hi"]].to_numpy(dtype=np.float64)
+    return bool((drawn > 0.0).all() and drawn.max() > 10.0 * drawn.min())
+
+
 def draw_load(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     """Draw late share, tracking error, backlog and eMBB rate of policies against the load.
 
@@ -60,7 +66,7 @@ def draw_load(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
             drawn = table[[measure, f"{measure}_hi"]].to_numpy(dtype=np.float64)
             log_axis_with_zero(panel, floor, [*drawn.ravel(), allowed])
             panel.axhline(allowed, color=GREY, linewidth=0.9)
-        elif measure == BACKLOG and (table[BACKLOG] > 0.0).all():
+        elif spans_decades(table, measure):
             panel.set_yscale("log")
         panel.set_title(f"({letter}) {title}")
         panel.set_ylabel(label)
