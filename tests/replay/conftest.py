@@ -36,7 +36,8 @@ learners: {flat: {algorithm: a2c, network: mlp, start: drift_plus_penalty, seeds
 evaluate: {seeds: [11, 12], warmup_s: 0.1, duration_s: 0.3, full_logs: 0,
            policies: [ddpg, flat, pf, edf, drift_plus_penalty]}
 sweeps: {seeds: [21], warmup_s: 0.0, duration_s: 0.1, policies: [ddpg, pf], rayleigh_scale: [0.5],
-         sampling_s: [0.02], reference: [arc], load: [0.9], load_ratio: [1.0], service_coefficient_mbps: [2.0]}
+         sampling_s: [0.02], reference: [arc], load: [0.9], load_ratio: [1.0],
+         service_coefficient_mbps: [2.0]}
 generalise: {seeds: [41], warmup_s: 0.0, duration_s: 0.1, policies: [ddpg, pf], cells: [[3, 2, 6]]}
 gain_study: {seeds: [31], num_robots: 3, num_windows: 3, violation_windows: [2]}
 log: {chunk_bytes: 16384, evaluate_profile: full, sweep_profile: compact}

@@ -29,9 +29,7 @@ for s in SCENARIOS:
 
 rule aggregate:
     input:
-        measures=lambda w: inside(
-            BY_NAME[w.scenario], paths.measures_files(BY_NAME[w.scenario])
-        ),
+        measures=lambda w: inside(BY_NAME[w.scenario], paths.measures_files(BY_NAME[w.scenario])),
         logs=lambda w: inside(BY_NAME[w.scenario], paths.all_logs(BY_NAME[w.scenario])),
         bound=f"results/{{scenario}}/{paths.BOUND}",
         stability=f"results/{{scenario}}/{paths.STABILITY}",
@@ -69,9 +67,7 @@ rule aggregate:
 
 rule figures:
     input:
-        measures=lambda w: inside(
-            BY_NAME[w.scenario], paths.measures_files(BY_NAME[w.scenario])
-        ),
+        measures=lambda w: inside(BY_NAME[w.scenario], paths.measures_files(BY_NAME[w.scenario])),
         logs=lambda w: inside(BY_NAME[w.scenario], paths.all_logs(BY_NAME[w.scenario])),
         bound=f"results/{{scenario}}/{paths.BOUND}",
         stability=f"results/{{scenario}}/{paths.STABILITY}",
@@ -108,9 +104,7 @@ rule figures:
 
 rule claims:
     input:
-        measures=lambda w: inside(
-            BY_NAME[w.scenario], paths.measures_files(BY_NAME[w.scenario])
-        ),
+        measures=lambda w: inside(BY_NAME[w.scenario], paths.measures_files(BY_NAME[w.scenario])),
         logs=lambda w: inside(BY_NAME[w.scenario], paths.claim_logs(BY_NAME[w.scenario])),
     output:
         [

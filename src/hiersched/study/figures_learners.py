@@ -54,6 +54,8 @@ def draw_learning(
     )
     floor = zero_floor(late)
     kinds = (("with noise", training), ("without noise", checkpoints))
+    named = {*_named(scenario), *_frozen(scenario)[:1]}
+    limits: dict[str, list[float]] = {}
     for axes, (kind, frames), letters in zip(rows, kinds, ("abc", "def"), strict=True):
         for panel, (measure, title, label), letter in zip(axes, _CURVES, letters, strict=True):
             for learner, frame in frames.items():
@@ -75,9 +77,7 @@ def draw_learning(
                     linestyle=look.dashes,
                     marker=look.marker if frames is checkpoints else "none",
                     markersize=3.0,
-                    label="_"
-                    if learning.frozen and learner != _frozen(scenario)[0]
-                    else look.label,
+                    label=look.label if learner in named else "_",
                 )
             panel.set_title(f"({letter}) {title}, {kind}", fontsize="medium")
             panel.set_ylabel(label)
@@ -86,8 +86,9 @@ def draw_learning(
                 lines = np.concatenate([line.get_ydata() for line in panel.get_lines()])
                 if lines.min() > 0.0:
                     panel.set_yscale("log")
-                    low, high = panel.get_ylim() if frames is checkpoints else (np.inf, 0.0)
-                    panel.set_ylim(min(low, 0.5 * lines.min()), max(high, 2.0 * lines.max()))
+                    bounds = [*limits.get(measure, ()), 0.5 * lines.min(), 2.0 * lines.max()]
+                    limits[measure] = bounds
+                    panel.set_ylim(min(bounds), max(bounds))  # both rows share the axis
         if frames is checkpoints:
             for panel in axes:
                 panel.set_xlabel("share of the training [1]")
