@@ -187,7 +187,7 @@ def test_the_regulator_runs_everything(tree: Path) -> None:
 @pytest.mark.parametrize(
     ("modules", "jobs"),
     [
-        (["study/figures.py"], ALWAYS),
+        (["study/figures.py"], {"figures"}),
         (
             ["learning/ddpg.py", "runs/gain_study.py"],
             {*LEARNED, "gain_study", *GAIN_SWEEPS, *ALWAYS},
