@@ -46,13 +46,12 @@ CHUNK_OVERHEAD_BYTES = 256  # at most: framing of a chunk, its MessageIndex and 
 
 
 def _compressor() -> zstandard.ZstdCompressor:
-    """Make the compressor: level 1, as level 3 takes twice as long for files 1 % smaller.
+    """Make the compressor: level 3, whose logs of decisions are 3 % smaller than those of level 1.
 
-    A hash table that fits into the fastest cache saves a tenth of the time once more; what
-    there is to find in mantissas is near by or nowhere.
+    It compresses for a quarter longer; higher levels take twice as long and more for 1 %.
     """
     parameters = zstandard.ZstdCompressionParameters.from_level(
-        1, hash_log=11, write_content_size=1, write_checksum=0, threads=0
+        3, write_content_size=1, write_checksum=0, threads=0
     )
     return zstandard.ZstdCompressor(compression_params=parameters)
 
