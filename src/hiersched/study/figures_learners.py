@@ -94,7 +94,7 @@ def draw_learning(
                 panel.set_xlabel("share of the training [1]")
     for axes in rows:
         log_axis_with_zero(axes[0], floor, np.minimum(late.to_numpy(np.float64), 1.0))
-    shared_legend(figure, rows[1][0], columns=7)
+    shared_legend(figure, rows[1][0], columns=4)
     caption(
         figure,
         f"Mean over {len(scenario.learning.seeds)} seeds; bands: Student t 95 % interval over "
