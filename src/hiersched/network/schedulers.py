@@ -9,11 +9,11 @@ MaxWeight, M-LWDF, EXP/PF and LOG maximise the sum of w min(r, need): a user can
 slot than its queue holds, and without the cap a rule that gives out many PRBs a slot goes on
 feeding queues that are empty already (Andrews and Zhang, IEEE/ACM Trans. Networking 19(2), 2011).
 
-EXP/PF is the form of Capozzi et al. (IEEE Communications Surveys and Tutorials 15(2), 2013): its
-eMBB users have the weight 1 / R. Rhee et al. multiply that by an adaptive w(t) / M(t), M the mean
-number of waiting real-time packets, and w lowered by a step while a real-time packet waits too
-long, raised by a fraction of it otherwise; its constants are not published for a cell like this
-one. LOG is that of the same survey: natural logarithm, c = 1.1, a = 5 / deadline, factor 1 / R.
+EXP/PF is the form of Capozzi et al. (IEEE Communications Surveys and Tutorials 15(2), 2013) and of
+LTE-Sim: its eMBB users have the weight 1 / R. Rhee et al. multiply that by an adaptive w(t) / M(t),
+M the mean number of waiting real-time packets, and w lowered by a step while a real-time packet
+waits too long, raised by a fraction of it otherwise; docs/paper_notes.md (5a) measures what a
+constant factor does. LOG is LTE-Sim's: natural logarithm, c = 1.1, a = 5 / deadline, factor 1 / R.
 """
 
 from __future__ import annotations
