@@ -92,7 +92,7 @@ def test_c2_on_fridmans_example(fridman):
 
 @pytest.mark.parametrize("last", [[[0.8, 0.0], [0.05, 0.9]], [[0.8, 0.0], [0.0, 0.91]]])
 def test_c2_on_the_loops_of_published_tables(last):
-    """The loops by which papers compare bounds on the delay, among them Gao and Chen (2007).
+    """The loops by which papers compare bounds on the delay.
 
     A P that is next to singular makes the largest margin next to 0 whatever the weights: a search
     along that margin stays there, with a witness that no certificate accepts, and ends at 8.

@@ -44,7 +44,7 @@ def test_the_first_unstable_delay_ends_the_region(radii: list[float], last: int 
 
 def test_regions_of_the_nominal_loops(tiny: Scenario, monkeypatch: pytest.MonkeyPatch) -> None:
     """The known numbers at q = 700: unstable from 80 ms on, C1 for the split plant alone."""
-    with monkeypatch.context() as patch:  # C2 takes seconds, and says nothing here
+    with monkeypatch.context() as patch:  # C2 says nothing here
         patch.setattr(stability, "analyse_delay_razumikhin", lambda *_: None)
         network = certified_delays(plant_of(tiny), 6)
     assert network == {"exact": 3, "c1": None, "c2": None, "c3": 3}
