@@ -46,7 +46,7 @@ class LogWriter:
     slot_ns
         Slot length [ns] of simulated time, the only clock in the file.
     compression
-        ``zstd`` (level 1; topics of random numbers are stored all the same) or ``none``.
+        ``zstd`` (level 3; topics of random numbers are stored all the same) or ``none``.
     chunk_bytes
         Size of a chunk before compression [bytes]; a chunk has at least one message.
     flush_slots
