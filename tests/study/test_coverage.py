@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hiersched.study.lognormal import mean_bounds
+from hiersched.study.lognormal import MOST_OVER_MEAN, mean_bounds
 from hiersched.study.statistics import Interval, mean_interval, skewed_interval
 
 SPREAD = 1.6
@@ -133,7 +133,13 @@ def draws_of_the_mean(positive: FloatArray, zeros: int, count: int = 200_000) ->
 
 def some_samples() -> Iterator[tuple[FloatArray, int]]:
     rng = np.random.default_rng(1)
-    for count, zeros, spread in ((10, 0, 1.6), (3, 0, 0.5), (10, 0, 0.1), (7, 3, 1.6), (2, 3, 0.3)):
+    for count, zeros, spread in (
+        (10, 0, 1.6),
+        (3, 0, 0.5),
+        (10, 0, 0.1),
+        (7, 3, 1.6),
+        (2, 3, 0.05),
+    ):
         yield np.exp(rng.normal(-8.0, spread, count)), zeros
 
 
@@ -153,6 +159,17 @@ def test_equal_values_beside_zeros_leave_the_share_of_zeros_open() -> None:
     lo, hi = mean_bounds(np.full(4, 1e-5), 6, 0.95)
     expected = 1e-5 * np.quantile(share, [0.025, 0.975])
     assert (lo, hi) == pytest.approx(tuple(expected), rel=0.02)
+
+
+def test_bounds_that_say_nothing_are_infinite() -> None:
+    """Of two values that differ 95 % of drawn means lie below 1e19, of three below 5e8."""
+    for values in ([1.0, 1.5], [0.4, 1.0, 2.7]):
+        sample = np.array(values)
+        drawn = np.quantile(draws_of_the_mean(sample, 0), [0.025, 0.975])
+        assert drawn[1] > math.log(MOST_OVER_MEAN * sample.mean())
+        lo, hi = mean_bounds(sample, 0, 0.95)
+        assert (math.log(lo), hi) == (pytest.approx(drawn[0], abs=0.02), math.inf)
+        assert skewed_interval(sample, most=7.0).hi == 7.0
 
 
 def test_estimate_lies_within_its_bounds() -> None:

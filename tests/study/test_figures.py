@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Annotation
 
 from hiersched.scenario import Scenario
 from hiersched.study.collect import (
@@ -22,11 +23,12 @@ from hiersched.study.figures import build_figures, draw_figures
 from hiersched.study.figures_delay import draw_violations
 from hiersched.study.figures_gain import draw_gain
 from hiersched.study.figures_rates import draw_dexterity, draw_rayleigh
-from hiersched.study.figures_standing import draw_load, pareto_front
+from hiersched.study.figures_standing import draw_load, draw_pareto, pareto_front
 from hiersched.study.figures_training import training_curve
 from hiersched.study.samples import delay_tails
 from hiersched.study.standing import bound_frame, bound_table, generalisation_table
 from hiersched.study.style import (
+    arrows_text,
     draw_series,
     house_style,
     log_axis_with_zero,
@@ -70,8 +72,11 @@ def bars(axes: Axes) -> dict[str, tuple[np.ndarray, np.ndarray]]:
 def assert_drawn(axes: Axes, label: str, rows: pd.DataFrame, measure: str) -> None:
     points, ends = bars(axes)[label]
     assert points[1] == pytest.approx(rows[measure].to_numpy())
-    columns = [f"{measure}_lo", f"{measure}_hi"]
-    assert ends == pytest.approx(rows[columns].to_numpy())
+    lo, mean, hi = (rows[f"{measure}{end}"].to_numpy() for end in ("_lo", "", "_hi"))
+    bounded = np.isfinite(hi)
+    assert ends == pytest.approx(np.column_stack([lo, np.where(bounded, hi, mean)]))
+    arrows = [text for text in axes.texts if isinstance(text, Annotation) and text.arrow_patch]
+    assert set(zip(*points[:, ~bounded], strict=True)) <= {arrow.xyann for arrow in arrows}
 
 
 def test_every_figure_is_written_twice_and_the_same_each_time(
@@ -369,6 +374,41 @@ def test_distribution_of_rates(figures: dict[str, Figure], results: Path, tiny: 
             rates.append(log.read("/allocation")["rate_mbps"][:, :2])
     for x, y in list(zip(*line.get_data(), strict=True))[::40]:
         assert y == pytest.approx(np.mean([(rate <= x).mean() for rate in rates]))
+
+
+def test_a_bar_without_an_upper_bound_is_an_arrow_that_stretches_no_axis() -> None:
+    figure = Figure()
+    axes = figure.subplots()
+    hi = [np.inf, 2.5]
+    draw_series(axes, [1.0, 2.0], [1.0, 2.0], [0.5, 1.5], hi, policy_look("pf"))
+    _, ends = bars(axes)["PF"]
+    assert ends.tolist() == [[0.5, 1.0], [1.5, 2.5]]
+    (arrow,) = axes.texts
+    assert (arrow.xyann, arrow.xy) == ((1.0, 1.0), (1.0, 1.0))  # data; and the top of the panel
+    assert arrow.xycoords == ("data", "axes fraction")
+    figure.canvas.draw()
+    assert axes.get_ylim()[1] < 3.0
+    assert arrows_text(hi) == " Arrows: no upper bound."
+    assert arrows_text(hi[1:]) == ""
+
+
+def test_bounds_that_are_infinite_leave_figures_readable(
+    results: Path, tiny: Scenario, sweeps: pd.DataFrame
+) -> None:
+    """As those of two worlds are: arrows, which the captions explain."""
+    table = sweeps.copy()
+    for name in ("tracking_error_cm", "mean_square_backlog"):
+        table[f"{name}_hi"] = np.inf
+    policies = policy_table(evaluation_frame(results, tiny), tiny)
+    policies["tracking_error_cm_hi"] = np.inf
+    with house_style():
+        load, pareto = draw_load(table, tiny), draw_pareto(policies, tiny)
+    for figure in (load, pareto):
+        figure.canvas.draw()
+        assert "Arrows: no upper bound." in small_print(figure)
+    assert load.axes[2].get_ylim()[1] < 100.0 * table["mean_square_backlog"].max()
+    assert pareto.axes[1].get_xlim()[1] < 2.0 * policies["tracking_error_cm"].max()
+    assert len(pareto.axes[1].texts) == len(policies)
 
 
 def test_zero_on_a_logarithmic_axis_is_marked_as_such() -> None:

@@ -74,9 +74,27 @@ def test_values_of_0_leave_an_upper_bound_of_the_ratio() -> None:
     assert np.isnan(paired_log_ratio(shares, B)).all()  # without a resolution nothing bounds it
 
 
-def test_a_baseline_of_0_has_no_ratio() -> None:
-    assert np.isnan(paired_log_ratio(A, [0.0, *B[1:]], resolution=1e-5)).all()
+def test_baselines_of_0_leave_a_lower_bound_of_the_ratio() -> None:
+    shares, least = np.array([0.0, 1e-4, 3e-4, 0.0, 2e-4]), 1e-5
+    mean, lo, hi = paired_log_ratio(B, shares, resolution=least)
+    shown = paired_log_ratio(B, np.maximum(shares, least))
+    assert (mean, lo, hi) == (shown.mean, shown.lo, math.inf)
+    above = paired_log_ratio(shares, B, resolution=least)
+    assert (1.0 / mean, 1.0 / lo) == pytest.approx((above.mean, above.hi))
+    assert np.isnan(paired_log_ratio(B, shares)).all()
+
+
+def test_zeros_on_both_sides_leave_no_ratio() -> None:
+    """Nothing bounds it, be it that both are 0 in the same world or in different ones."""
+    a, b = A.copy(), B.copy()
+    a[0] = b[1] = 0.0
+    assert np.isnan(paired_log_ratio(a, b, resolution=1e-5)).all()
     assert np.isnan(paired_log_ratio(np.zeros(5), np.zeros(5), resolution=1e-5)).all()
+    assert np.isnan(log_ratios([0.0, 1.0], [0.0, 1.0], 1e-5)).tolist() == [True, False]
+
+
+def test_measures_below_0_have_no_ratio() -> None:
+    assert np.isnan(paired_log_ratio([-1.0, 2.0], [1.0, 1.0], resolution=0.5)).all()
 
 
 @given(st.floats(0.01, 100.0), st.floats(0.01, 100.0))
@@ -129,8 +147,9 @@ def test_what_has_no_skewed_interval() -> None:
     assert np.isnan(skewed_interval([1.0, math.nan, 2.0])).all()
     assert skewed_interval([3.0]).mean == 3.0
     assert np.isnan(skewed_interval([3.0])[1:]).all()
-    with pytest.raises(ValueError, match="-1, must be 0 or above"):
-        skewed_interval([1.0, -1.0])
+    for wrong in (-1.0, math.inf):
+        with pytest.raises(ValueError, match=f"{wrong:g}, must be 0 or above and finite"):
+            skewed_interval([1.0, wrong])
 
 
 @pytest.mark.parametrize(("count", "ways"), [(0, 0), (1, 0), (2, 1), (3, 3), (4, 3), (10, 126)])

@@ -15,7 +15,7 @@ from hiersched.study.collect import measure_group
 from hiersched.study.metrics import run_metrics
 from hiersched.study.standing import BACKLOG, best_classical, score_table
 from hiersched.study.statistics import skewed_interval, smallest_mean
-from hiersched.study.summary import measures, policy_table
+from hiersched.study.summary import comparison_table, measures, policy_table
 from hiersched.study.tables import interval_text, markdown_text, parameter_table, write_tables
 
 SYMMETRIC = "urllc_rate_mbps embb_rate_mbps dexterity_index".split()
@@ -89,6 +89,25 @@ def test_a_late_share_of_0_has_the_bound_that_the_worlds_give(tiny: Scenario) ->
     assert bounds.loc["ddpg", f"{late}_hi"] == 1.0  # cut: a share is no more
     text = markdown_text(bounds.reset_index(), "T", "N")
     assert "| pf | < 0.0018 |" in text
+
+
+def test_a_ratio_over_shares_of_0_is_bounded_from_below(tiny: Scenario) -> None:
+    """PF is late in no world, so its share is below the 0.004 of a batch of 4 of 1000 packets."""
+    samples = {"ddpg": [0.04, 0.08, 0.16], "pf": [0.0] * 3, "flat": [0.0, 0.0, 0.1]}
+    table = comparison_table(late_runs(tiny, samples), tiny)
+    rows = table[table["measure"] == "urllc_late_share"].set_index(["policy", "baseline"])
+    ratio = rows[["ratio", "ratio_lo", "ratio_hi"]]
+    low, _ = stats.ttest_1samp(np.log([10.0, 20.0, 40.0]), 0.0).confidence_interval(0.95)
+    expected = [20.0, math.exp(low), math.inf]
+    assert ratio.loc[("ddpg", "pf")].tolist() == pytest.approx(expected)
+    assert ratio.loc[("flat", "pf")].isna().all()
+
+
+def test_saturations_that_never_come_have_a_bound(tiny: Scenario) -> None:
+    """One of two robots in one of 100 slots of 10 ms would be half a saturation a second."""
+    runs = late_runs(tiny, {"pf": [0.0] * 5}).assign(control_saturations_per_s=0.0)
+    row = policy_table(runs, tiny).iloc[0]
+    assert row["control_saturations_per_s_hi"] == pytest.approx(smallest_mean(5, 0.5))
 
 
 @pytest.mark.parametrize("name", ["policies", "comparison"])
@@ -245,7 +264,9 @@ def test_no_half_written_file_stays(tables: dict[str, pd.DataFrame], results: Pa
         ((0.0123, 0.00123, 0.5), "0.0123 [0.0012, 0.5]"),
         ((0.001, 0.0, 0.0124), "0.0010 [0.0000, 0.0124]"),
         ((-0.02, -0.05, 0.01), "-0.020 [-0.050, 0.010]"),
-        ((0.5, 0.0, math.inf), "0.5 [unbounded]"),
+        ((453986741.0, 331470974.0, 576502508.0), "4.54e+08 [3.3e+08, 5.8e+08]"),
+        ((1.18, 0.77, math.inf), "1.18 [0.77, ∞)"),
+        ((2e-7, 0.0, math.inf), "2e-07 [0, ∞)"),
         ((0.5, math.nan, math.nan), "0.5"),
         ((0.5, -math.inf, math.inf), "0.5 [unbounded]"),
         ((math.nan, math.nan, math.nan), "–"),

@@ -10,12 +10,13 @@ from matplotlib.figure import Figure
 
 from hiersched.scenario import Scenario
 from hiersched.study.collect import BASELINE
-from hiersched.study.figures_standing import LOAD_PANELS, spans_decades
+from hiersched.study.figures_standing import LOAD_BOUNDS, LOAD_PANELS, spans_decades
 from hiersched.study.figures_training import checkpoint_curve, training_curve
 from hiersched.study.style import (
     CONTROL,
     GREY,
     PANEL_HEIGHT_IN,
+    arrows_text,
     caption,
     draw_series,
     log_axis_with_zero,
@@ -157,6 +158,7 @@ def draw_learners(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
         figure,
         f"Mean and 95 % interval over {len(scenario.sweeps.seeds)} worlds, each with "
         "its own training seed. Grey line in (a): the share 1 − χ that is allowed; below the "
-        "dotted line: 0. The axes of (b) and (d) do not start at 0.",
+        f"dotted line: 0.{arrows_text(table[LOAD_BOUNDS])} The axes of (b) and (d) do not start "
+        "at 0.",
     )
     return figure

@@ -17,6 +17,7 @@ from hiersched.study.style import (
     PAPER_COLOR,
     SLICES,
     Look,
+    arrows_text,
     caption,
     draw_series,
     log_ticks,
@@ -99,12 +100,14 @@ def draw_rayleigh(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     axes[1].set_title("(b) mean queue length per user")
     axes[1].set_ylabel("backlog [packets]")
     axes[1].set_yscale("log")
+    shown = table[table["policy"].isin(_shown(scenario))]
     shared_legend(figure, axes[0], columns=3)
     caption(
         figure,
         f"Mean and {_over_seeds(scenario.sweeps.seeds)}. The rate axis does not start at 0; bars "
         "leave the logarithmic axis where they include 0. Stars at σ\u00a0=\u00a01: "
-        f"mean of the three slots of the paper's Table III.{_coincidence(table, scenario)}",
+        f"mean of the three slots of the paper's Table III.{_coincidence(table, scenario)}"
+        f"{arrows_text(shown[[f'{name}_backlog_packets_hi' for name in SLICES]])}",
     )
     return figure
 

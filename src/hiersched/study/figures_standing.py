@@ -16,12 +16,14 @@ from hiersched.study.style import (
     GREY,
     PANEL_HEIGHT_IN,
     Look,
+    arrows_text,
     caption,
     draw_series,
     log_axis_with_zero,
     new_figure,
     policy_look,
     shared_legend,
+    unbounded_bar,
     zero_floor,
 )
 
@@ -34,12 +36,14 @@ LOAD_PANELS = (
     (BACKLOG, "mean square backlog", "mean of ½ΣF² over slots [packets²]"),
     ("embb_rate_mbps", "eMBB data rate", "rate per user [Mbit/s]"),
 )
+LOAD_BOUNDS = [f"{measure}_hi" for measure, *_ in LOAD_PANELS]
 
 
 def spans_decades(table: pd.DataFrame, measure: str) -> bool:
-    """Whether a positive measure or its bounds span more than a factor of ten."""
+    """Whether a positive measure or its finite bounds span more than a factor of ten."""
     drawn = table[[measure, f"{measure}_lo", f"{measure}_hi"]].to_numpy(dtype=np.float64)
-    return bool((drawn > 0.0).all() and drawn.max() > 10.0 * drawn.min())
+    finite = drawn[np.isfinite(drawn)]
+    return bool((drawn > 0.0).all() and finite.max() > 10.0 * finite.min())
 
 
 def draw_load(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
@@ -77,8 +81,8 @@ def draw_load(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
         figure,
         f"Mean and 95 % interval over {len(scenario.sweeps.seeds)} seeds; bars leave "
         "logarithmic axes, or end at 0 in (a), where they include 0. Grey line in (a): the share "
-        f"1 − χ that is allowed; below the dotted line: 0.{_open_marks(table)} The axes of (b) and "
-        "(d) do not start at 0.",
+        f"1 − χ that is allowed; below the dotted line: 0.{_open_marks(table)}"
+        f"{arrows_text(table[LOAD_BOUNDS])} The axes of (b) and (d) do not start at 0.",
     )
     return figure
 
@@ -133,6 +137,9 @@ def draw_pareto(policies: pd.DataFrame, scenario: Scenario) -> Figure:
         for panel, measure in zip(axes, (late, "tracking_error_cm"), strict=True):
             low = floor if measure == late else -np.inf
             at, down, up = (max(float(line[f"{measure}{e}"]), low) for e in ("", "_lo", "_hi"))
+            if up == np.inf:
+                unbounded_bar(panel, at, float(line[rate]), look, which="x")
+                up = at
             panel.errorbar(
                 [at],
                 [line[rate]],
@@ -161,7 +168,8 @@ def draw_pareto(policies: pd.DataFrame, scenario: Scenario) -> Figure:
         figure,
         f"Means and 95 % intervals over {len(scenario.evaluate.seeds)} worlds. Up and "
         "left is better. Grey steps: the policies that no other beats in both means. Left of the "
-        f"dotted line in (a): 0.{_open_marks(policies)} Other axes do not start at 0.",
+        f"dotted line in (a): 0.{_open_marks(policies)}"
+        f"{arrows_text(policies['tracking_error_cm_hi'])} Other axes do not start at 0.",
     )
     return figure
 
@@ -260,7 +268,7 @@ def draw_generalise(table: pd.DataFrame, scenario: Scenario) -> Figure:
         f"Mean and 95 % interval over {len(scenario.generalise.seeds)} worlds. The "
         f"learned policies were trained on {users.num_urllc} + {users.num_embb} users and "
         f"{scenario.radio.num_prb} PRBs and run unchanged. Below the dotted line in (a): "
-        f"0.{_open_marks(cells)}",
+        f"0.{_open_marks(cells)}{arrows_text(cells[f'{BACKLOG}_hi'])}",
     )
     return figure
 

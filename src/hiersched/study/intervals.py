@@ -26,7 +26,9 @@ INTERVAL_NOTE = (
 
 
 def resolution(name: str, runs: pd.DataFrame, scenario: Scenario) -> float:
-    """Return the least value above 0 of a share that every one of these runs could show, else 0.
+    """Return the least value above 0 that every one of these runs could show of a count, else 0.
+
+    Shares are counts over what is counted; so are saturations per second.
 
     Parameters
     ----------
@@ -47,6 +49,8 @@ def resolution(name: str, runs: pd.DataFrame, scenario: Scenario) -> float:
         return 1.0 / (robots * max(1, slots // slots_per_window(scenario)))
     if name.endswith("_share"):
         return 1.0 / (robots * slots)
+    if name == "control_saturations_per_s":
+        return 1.0 / (robots * slots * scenario.radio.slot_s)
     return 0.0
 
 

@@ -29,14 +29,16 @@ import numpy.typing as npt
 FloatArray = npt.NDArray[np.float64]
 
 NODES = 64
-"""Nodes of each of the quadratures; the bounds are then good to a thousandth, to a hundredth
-where positive values are all but equal beside zeros."""
+"""Nodes of each of the quadratures; bounds below `MOST_OVER_MEAN` are then good to two thousandths,
+to two hundredths where positive values are all but equal beside zeros."""
+
+MOST_OVER_MEAN = 1e6
+"""An upper bound of more times the mean of the positive values is given as infinite. Two or three
+values that differ give bounds like 1e240, which say nothing and which the nodes do not resolve."""
 
 SINGLE_SPREAD = 1.6
 """Standard deviation of the logarithm that is taken where one positive value alone shows none: that
 of the late shares of this study's policies between worlds."""
-
-_MAX_LOG = math.log(np.finfo(np.float64).max)
 
 
 def mean_bounds(positive: FloatArray, zeros: int, level: float) -> tuple[float, float]:
@@ -55,7 +57,7 @@ def mean_bounds(positive: FloatArray, zeros: int, level: float) -> tuple[float, 
     Returns
     -------
     tuple of float
-        Lower and upper bound; the upper one is infinite where no double can hold it.
+        Lower and upper bound; the upper one is infinite beyond `MOST_OVER_MEAN`.
     """
     from scipy.special import ndtr
 
@@ -73,7 +75,8 @@ def mean_bounds(positive: FloatArray, zeros: int, level: float) -> tuple[float, 
     lower, upper = (
         _quantile(probability_below, tail, start) for tail in (0.5 - 0.5 * level, 0.5 + 0.5 * level)
     )
-    return _exp(lower), _exp(upper)
+    most = math.log(MOST_OVER_MEAN) + math.log(float(positive.mean()))
+    return math.exp(lower), math.exp(upper) if upper < most else math.inf
 
 
 def _sigmas(logs: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -120,7 +123,3 @@ def _quantile(probability_below: Callable[[float], float], tail: float, start: f
         step *= 2.0
         high += step
     return float(brentq(lambda x: probability_below(x) - tail, low, high, xtol=1e-6))
-
-
-def _exp(value: float) -> float:
-    return math.exp(value) if value < _MAX_LOG else math.inf

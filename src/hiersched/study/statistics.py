@@ -71,7 +71,8 @@ def skewed_interval(
     Generalised pivotal interval of the mean of a lognormal distribution, with zeros beside it where
     there are any (see `lognormal`): for shares of late packets, whose spread is in their logarithm.
     Student's t covers such means too rarely. The estimate is the sample mean; it always lies within
-    the bounds, which logarithms with a long lower tail could put beyond it.
+    the bounds, which logarithms with a long lower tail could put beyond it. Where the sample does
+    not bound the mean from above, as two values that differ hardly do, the upper bound is infinite.
 
     Parameters
     ----------
@@ -88,14 +89,15 @@ def skewed_interval(
     Raises
     ------
     ValueError
-        If there is no value, or one below 0.
+        If there is no value, an infinite one, or one below 0.
     """
     sample = _sample(values)
+    wrong = sample[np.isinf(sample) | (sample < 0.0)]
+    if wrong.size:
+        raise ValueError(f"values: {wrong[0]:g}, must be 0 or above and finite")
     mean = float(sample.mean())
     if len(sample) < 2 or math.isnan(mean):
         return Interval(mean, math.nan, math.nan)
-    if sample.min() < 0.0:
-        raise ValueError(f"values: {sample.min():g}, must be 0 or above")
     positive = sample[sample > 0.0]
     least = smallest_mean(len(sample), resolution, level)
     if not positive.size:
@@ -147,18 +149,19 @@ def log_ratios(
         One value a world, shape (n,), in the same order of worlds.
     resolution
         Least value above 0 that a world can show: stands for values of 0, whose ratio it bounds
-        from above.
+        from above, and for baselines of 0, whose ratio it bounds from below.
 
     Returns
     -------
     ndarray
-        Shape (n,): NaN where a baseline is 0, or a value is and there is no resolution; 0 where
-        both are equal.
+        Shape (n,): 0 where both are equal; NaN where both are 0, one is and there is no resolution,
+        or one is below 0.
     """
     a, b = _pair(values, baseline)
-    shown = np.where(a > 0.0, a, resolution)
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratios: npt.NDArray[np.float64] = np.log(shown) - np.log(b)
+        log_a, log_b = (np.log(np.where(sample == 0.0, resolution, sample)) for sample in (a, b))
+        ratios: npt.NDArray[np.float64] = log_a - log_b
+    ratios[(a == 0.0) & (b == 0.0)] = math.nan
     ratios[~np.isfinite(ratios)] = math.nan
     return ratios
 
@@ -173,7 +176,9 @@ def paired_log_ratio(
     """Return the typical ratio of paired samples: geometric mean, Student t on its logarithm.
 
     Where values are 0, the ratio and its upper bound are upper bounds (see `log_ratios`), and the
-    lower bound is 0. It is NaN where a ratio of some world has no logarithm at all.
+    lower bound is 0. Where baselines are, ratio and lower bound are lower bounds, and the upper
+    bound is infinite. All is NaN where values and baselines are, be it in different worlds, since
+    nothing bounds the ratio then, and where there is no resolution to stand for a 0.
 
     Parameters
     ----------
@@ -188,8 +193,13 @@ def paired_log_ratio(
         If the samples are empty or of different lengths.
     """
     mean, lo, hi = mean_interval(log_ratios(values, baseline, resolution), level)
-    if (_sample(values) == 0.0).any() and math.isfinite(lo):
+    no_value, no_baseline = ((_sample(sample) == 0.0).any() for sample in (values, baseline))
+    if no_value and no_baseline:
+        return Interval(math.nan, math.nan, math.nan)
+    if no_value and not math.isnan(lo):
         lo = -math.inf
+    if no_baseline and not math.isnan(hi):
+        hi = math.inf
     return Interval(math.exp(mean), math.exp(lo), _exp(hi))
 
 

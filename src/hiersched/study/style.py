@@ -224,6 +224,8 @@ def draw_series(
 ) -> None:
     """Draw means with their intervals as error bars, joined by a line.
 
+    A bar without an upper bound is an arrow out of the panel, which does not stretch the axis.
+
     Parameters
     ----------
     axes
@@ -243,10 +245,11 @@ def draw_series(
     if floor is not None:
         zero = middle <= 0.0
         middle, low, high = (np.maximum(values, floor) for values in (middle, low, high))
+    unbounded = (high == np.inf) & np.isfinite(low)
     axes.errorbar(
         places,
         middle,
-        yerr=[middle - low, high - middle],
+        yerr=[middle - low, np.where(unbounded, 0.0, high - middle)],
         color=look.color,
         linestyle=look.dashes,
         marker=look.marker,
@@ -263,6 +266,29 @@ def draw_series(
             markeredgecolor=look.color,
             zorder=4,
         )
+    for place, at in zip(places[unbounded], middle[unbounded], strict=True):
+        unbounded_bar(axes, place, at, look)
+
+
+def unbounded_bar(axes: Axes, x: float, y: float, look: Look, *, which: str = "y") -> None:
+    """Draw an arrow from a point to the upper end of an axis, ``x`` or ``y``."""
+    end = ("data", "axes fraction") if which == "y" else ("axes fraction", "data")
+    axes.annotate(
+        "",
+        (x, 1.0) if which == "y" else (1.0, y),
+        xytext=(x, y),
+        xycoords=end,
+        textcoords="data",
+        arrowprops={
+            **{"arrowstyle": "->", "color": look.color, "linewidth": 0.9},
+            **{"shrinkA": 0.0, "shrinkB": 0.0},
+        },
+    )
+
+
+def arrows_text(hi: npt.ArrayLike) -> str:
+    """Say what an arrow instead of a bar is, where there is one among these upper bounds."""
+    return " Arrows: no upper bound." if (np.asarray(hi, np.float64) == np.inf).any() else ""
 
 
 def zero_floor(values: npt.ArrayLike) -> float:

@@ -145,6 +145,7 @@ def _compared(
 ) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
     own, other = (runs[runs["policy"] == name].set_index("seed") for name in (policy, baseline))
+    both = pd.concat([own, other])
     if list(own.index) != list(other.index):
         raise ValueError(f"{policy} and {baseline} did not run in the same worlds")
     for name in COMPARED:
@@ -158,7 +159,7 @@ def _compared(
                 "mean": float(a.mean()),
                 "baseline_mean": float(b.mean()),
                 **interval_columns(
-                    "ratio", paired_log_ratio(a, b, resolution=resolution(name, own, scenario))
+                    "ratio", paired_log_ratio(a, b, resolution=resolution(name, both, scenario))
                 ),
                 **interval_columns("difference", paired_difference(a, b)),
                 "seeds_below_baseline": int((a < b).sum()),

@@ -53,6 +53,12 @@ _RATIO = (
     "Ratios are geometric means over the same worlds, in brackets Student's 95 % interval of their "
     "logarithms."
 )
+_NONE = (
+    "A share of 0 in a world enters a ratio as the least share that could be seen there. Where "
+    "those of a policy do, ratio and upper bound are upper bounds, and the lower bound is 0; where "
+    "those of the baseline do, ratio and lower bound are lower bounds, and there is no upper one; "
+    "a dash: both do."
+)
 _TROUBLE = (
     "Shares of robots: `off_track`, over 10 cm in a window; `saturated`, at a control limit for "
     "half of one. All robots are in the means."
@@ -89,10 +95,7 @@ TITLES = {
     ),
     "comparison": (
         "Policies against PF, and against the best classical scheduler, in the same worlds",
-        f"{_RATIO} Where a policy has a share of 0 in a world, the least share that it could show "
-        "stands for it: ratio and upper bound are then upper bounds, and the lower bound is 0. A "
-        "dash: the baseline is 0 in a world. Differences with Student t 95 % intervals. "
-        f"{_LEARNED}",
+        f"{_RATIO} {_NONE} Differences with Student t 95 % intervals. {_LEARNED}",
     ),
     "sweeps": (
         "Sweeps: one axis varied at a time",
@@ -127,7 +130,7 @@ TITLES = {
         "Learners along the load, against the scenario's own",
         f"{INTERVAL_NOTE} `differs`: keys of the section `learning` that are not the scenario's. "
         "Columns `…_minus_own`, `…_over_own`: paired differences from the scenario's own learner, "
-        "and typical ratios, world by world and training seed by training seed.",
+        f"and typical ratios, world by world and training seed by training seed. {_NONE}",
     ),
     "scores": (
         "Policies over all loads",
@@ -311,6 +314,8 @@ def interval_text(mean: float, lo: float, hi: float) -> str:
     """
     if not math.isfinite(mean):
         return "–"
+    if math.isfinite(lo) and hi == math.inf:
+        return f"{mean:.3g} [{lo:.2g}, ∞)"
     if not (math.isfinite(lo) and math.isfinite(hi)):
         return cell_text(mean) if math.isnan(lo) else f"{cell_text(mean)} [unbounded]"
     half = (hi - lo) / 2.0
@@ -320,7 +325,7 @@ def interval_text(mean: float, lo: float, hi: float) -> str:
         return f"< {hi:.2g}"
     decimals = 1 - math.floor(math.log10(half))
     skewed = hi > 10.0 * lo > 0.0 or hi > 30.0 * abs(mean)
-    if decimals > 6 or skewed:  # each number with digits of its own
+    if not -3 <= decimals <= 6 or skewed:  # each number with digits of its own
         return f"{mean:.3g} [{lo:.2g}, {hi:.2g}]"
     decimals = max(0, decimals)
     return f"{mean:.{decimals}f} [{lo:.{decimals}f}, {hi:.{decimals}f}]"
