@@ -315,7 +315,7 @@ def interval_text(mean: float, lo: float, hi: float) -> str:
     if not math.isfinite(mean):
         return "–"
     if math.isfinite(lo) and hi == math.inf:
-        return f"{mean:.3g} [{lo:.2g}, ∞)"
+        return f"{_rounded(mean, 3)} [{_rounded(lo, 2)}, ∞)"
     if not (math.isfinite(lo) and math.isfinite(hi)):
         return cell_text(mean) if math.isnan(lo) else f"{cell_text(mean)} [unbounded]"
     half = (hi - lo) / 2.0
@@ -326,9 +326,15 @@ def interval_text(mean: float, lo: float, hi: float) -> str:
     decimals = 1 - math.floor(math.log10(half))
     skewed = hi > 10.0 * lo > 0.0 or hi > 30.0 * abs(mean)
     if not -3 <= decimals <= 6 or skewed:  # each number with digits of its own
-        return f"{mean:.3g} [{lo:.2g}, {hi:.2g}]"
+        return f"{_rounded(mean, 3)} [{_rounded(lo, 2)}, {_rounded(hi, 2)}]"
     decimals = max(0, decimals)
     return f"{mean:.{decimals}f} [{lo:.{decimals}f}, {hi:.{decimals}f}]"
+
+
+def _rounded(value: float, digits: int) -> str:
+    """Return a number with so many significant digits; no power of ten below a million."""
+    text = f"{value:.{digits}g}"
+    return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e6 else text
 
 
 def cell_text(value: Any) -> str:
