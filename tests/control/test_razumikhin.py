@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hiersched.control import DelayedPlant, certify, spectral_radius_by_delay
+from hiersched.control.lmi import balance
 from hiersched.control.razumikhin import (
     WeightedMap,
     analyse_delay_razumikhin,
@@ -184,6 +185,48 @@ def test_searches_find_what_a_grid_of_weights_finds_up_to_the_edge(least_radius,
             good = least_radius(A_c, middle * A_d, T, rate) < 0.999
             low, high = (middle, high) if good else (low, middle)
         assert certify(A_c, low * A_d, T, analyse(A_c, low * A_d, T, rate)).certified
+
+
+@pytest.mark.parametrize(
+    "analyse",
+    [lambda A_c, A_d, T: analyse_razumikhin(A_c, A_d, T, 0.003), analyse_delay_razumikhin],
+    ids=["c1", "c2"],
+)
+def test_an_analysis_answers_at_the_edge_too(analyse):
+    """The largest multiple of A_d that has a witness, to the last bit: rounding decides there."""
+    rng = np.random.default_rng(21)
+    for _ in range(8):
+        A_c, A_d = _random_loop(rng)
+        T = int(rng.integers(1, 6))
+        low, high = 0.0, 64.0
+        while low < (middle := (low + high) / 2) < high:
+            witness = analyse(A_c, middle * A_d, T)
+            certify(A_c, middle * A_d, T, witness)
+            low, high = (middle, high) if witness is not None else (low, middle)
+        assert certify(A_c, 0.999 * low * A_d, T, analyse(A_c, 0.999 * low * A_d, T)).certified
+
+
+@pytest.mark.filterwarnings("ignore::scipy.linalg.LinAlgWarning")
+def test_coordinates_of_a_loop_at_the_edge_of_stability():
+    """With a spectral radius of 1 but for the last bit, rounding may leave none: that is None."""
+    answers = set()
+    for seed in range(20):
+        M = np.random.default_rng(seed).standard_normal((3, 3))
+        low, high = 0.0, 100.0
+        while low < (middle := (low + high) / 2) < high:
+            stable = np.abs(np.linalg.eigvals(middle * M)).max() < 1.0
+            low, high = (middle, high) if stable else (low, middle)
+        answers.add(balance(low * M) is None)
+    assert answers == {True, False}
+
+
+@pytest.mark.filterwarnings("ignore::scipy.linalg.LinAlgWarning")
+@pytest.mark.parametrize("coupling", [[[0.0]], [[0.0, 1.0], [0.0, 0.0]]])
+def test_c2_says_nothing_of_a_loop_that_is_stable_by_a_rounding_error(coupling):
+    n = len(coupling)
+    A_c, A_d = np.eye(n) + coupling, -1.2e-16 * np.eye(n)
+    assert np.abs(np.linalg.eigvals(A_c + A_d)).max() < 1.0
+    assert not certify(A_c, A_d, 3, analyse_delay_razumikhin(A_c, A_d, 3)).certified
 
 
 def _double_integrator():

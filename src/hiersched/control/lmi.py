@@ -70,12 +70,16 @@ def balance(M: FloatArray) -> FloatArray | None:
     Returns
     -------
     ndarray, shape (n, n), or None
-        L^T of z = L^T x, where L L^T solves M^T W M - W + I = 0; None if M is not stable.
+        L^T of z = L^T x, where L L^T solves M^T W M - W + I = 0; None if M is not stable, or so
+        near to the edge that rounding leaves no such W.
     """
     if spectral_radius(M) >= 1.0:
         return None
-    W = np.asarray(solve_discrete_lyapunov(M.T, np.eye(M.shape[0])), dtype=np.float64)
-    return np.asarray(np.linalg.cholesky((W + W.T) / 2.0).T, dtype=np.float64)
+    try:
+        W = np.asarray(solve_discrete_lyapunov(M.T, np.eye(M.shape[0])), dtype=np.float64)
+        return np.asarray(np.linalg.cholesky((W + W.T) / 2.0).T, dtype=np.float64)
+    except np.linalg.LinAlgError:
+        return None
 
 
 def symmetrised(matrix: FloatArray) -> FloatArray:

@@ -23,7 +23,8 @@ from hiersched.control.checks import FloatArray, as_delay_steps, as_square, spec
 from hiersched.control.lmi import balance, symmetrised
 
 REACH = 12.0
-"""The searches go over shares from 2^-REACH to 1 - 2^-REACH."""
+"""The searches go over shares from 2^-REACH to 1 - 2^-REACH: where the best share is 0, they may
+miss the last ten-thousandth of what a condition can certify."""
 
 
 def razumikhin_gamma(decay_rate: float, delay_steps: int) -> float:
@@ -83,11 +84,17 @@ class WeightedMap:
         """Return the spectral radius of the map; below 1, there is a P for these weights."""
         return spectral_radius(self._map(weights))
 
-    def solve(self, *weights: float) -> FloatArray:
-        """Return the P whose inverse is Q = I + sum_i F_i Q F_i^T / w_i; the radius is below 1."""
+    def solve(self, *weights: float) -> FloatArray | None:
+        """Return the P whose inverse is Q = I + sum_i F_i Q F_i^T / w_i; the radius is below 1.
+
+        None where the radius is 1 but for rounding: Q is then beyond what numbers can hold.
+        """
         matrix = np.eye(self._identity.size) - self._map(weights)
-        Q = np.tensordot(np.linalg.solve(matrix, self._identity), self._basis, axes=1)
-        return symmetrised(np.linalg.inv(Q))
+        try:
+            Q = np.tensordot(np.linalg.solve(matrix, self._identity), self._basis, axes=1)
+            return symmetrised(np.linalg.inv(Q))
+        except np.linalg.LinAlgError:
+            return None
 
     def _map(self, weights: Sequence[float]) -> FloatArray:
         total = np.zeros_like(self._maps[0])
@@ -169,9 +176,10 @@ def analyse_razumikhin(
         return 1.0 - decay_rate - share * largest * gamma, share * largest
 
     radius, share = least(lambda share: condition.radius(*weights(share)))
-    if radius >= 1.0:
+    P = condition.solve(*weights(share)) if radius < 1.0 else None
+    if P is None:
         return None
-    P = symmetrised(scaling.T @ condition.solve(*weights(share)) @ scaling)
+    P = symmetrised(scaling.T @ P @ scaling)
     return RazumikhinWitness(P=P, tau=share * largest, decay_rate=decay_rate)
 
 
@@ -210,17 +218,17 @@ def analyse_delay_razumikhin(
     n = A_c.shape[0]
     A_d = as_square("A_d", A_d, n)
     T = as_delay_steps("delay_steps", delay_steps)
+    slowest = spectral_radius(A_c + A_d) ** 2
     scaling = balance(A_c + A_d)
-    if scaling is None:
+    if scaling is None or slowest >= 1.0:
         return None
     inverse = np.linalg.inv(scaling)
     A_z, D_z = scaling @ A_c @ inverse, scaling @ A_d @ inverse
     condition = WeightedMap([A_z + D_z, -T * D_z @ (A_z - np.eye(n)), -T * D_z @ D_z])
-    slowest = spectral_radius(A_c + A_d) ** 2
 
     def weights(share: float, first: float) -> tuple[float, float, float]:
-        p = slowest + (1.0 - slowest) * share
-        return p, (1.0 - p) * first, (1.0 - p) * (1.0 - first)
+        rest = (1.0 - slowest) * (1.0 - share)
+        return slowest + (1.0 - slowest) * share, rest * first, rest * (1.0 - first)
 
     def best_first(share: float) -> tuple[float, float]:
         return least(lambda first: condition.radius(*weights(share, first)))
@@ -231,5 +239,8 @@ def analyse_delay_razumikhin(
     # Radius and sum of the weights trade one for one: half of the gap goes to each inequality.
     slack = np.sqrt(radius)
     p, t1, t2 = (float(slack * weight) for weight in weights(share, best_first(share)[1]))
-    P = symmetrised(scaling.T @ condition.solve(p, t1, t2) @ scaling)
+    P = condition.solve(p, t1, t2)
+    if P is None:
+        return None
+    P = symmetrised(scaling.T @ P @ scaling)
     return DelayRazumikhinWitness(P=P, p=p, t1=t1, t2=t2)
