@@ -17,11 +17,14 @@ def state(seed):
     """A slot as a base station may meet it: queues empty and long, waits past the deadline."""
     rng = np.random.default_rng(seed)
     spread = rng.choice([0.03, 0.8])
+    mean_rate = 12.0 * np.exp(rng.choice([0.0, 0.5]) * rng.normal(size=(U, 1)))
     backlog = rng.gamma(0.8, rng.choice([12.0, 60.0]), U) * (rng.random(U) < 0.75)
+    deadline = np.where(np.arange(U) < R, 0.02, 0.3)
     return {
-        "rate": (12.0 * np.exp(spread * rng.normal(size=(U, K)))).astype(np.float32),
+        "rate": (mean_rate * np.exp(spread * rng.normal(size=(U, K)))).astype(np.float32),
         "backlog_packets": backlog,
-        "hol_delay_s": np.where(backlog > 0.0, rng.uniform(0.0, 0.06, U), 0.0),
+        # Up to three times the deadline in either slice.
+        "hol_delay_s": np.where(backlog > 0.0, rng.uniform(0.0, 3.0, U) * deadline, 0.0),
         "average_rate_mbps": rng.uniform(5.0, 30.0, U),
         "last_rate_mbps": rng.uniform(0.0, 40.0, U),
         "service_offset_mbps": np.where(np.arange(U) < R, rng.random(U), 0.0),
@@ -29,7 +32,7 @@ def state(seed):
         "rate_sensitivity": np.where(np.arange(U) < R, 0.1, 0.0),
         "arrival_packets_per_mbps": np.where(np.arange(U) < R, 3.0, 1.0),
         "service_packets_per_mbps": 1.25,
-        "deadline_s": np.where(np.arange(U) < R, 0.02, 0.3),
+        "deadline_s": deadline,
         "late_share": np.where(np.arange(U) < R, 0.05, 0.1),
         "multiplier": np.where(np.arange(U) < R, rng.uniform(0.0, 5.0, U), 0.0),
         "penalty_weight": 100.0,
@@ -39,11 +42,11 @@ def state(seed):
 
 
 def twin(name, need, s, slot=0):
-    """Owner of each PRB, and the utility of any rates R (U,) under the rule."""
+    """Owner of each PRB, and the utility of any rates R (U,) under the rule if it has one."""
     rate, F, W, D = s["rate"].astype(float), s["backlog_packets"], s["hol_delay_s"], s["deadline_s"]
     per_mbps, beta = s["service_packets_per_mbps"], s["service_offset_mbps"]
     if name == "round_robin":
-        return (slot * K + np.arange(K)) % U, lambda R_: 0.0
+        return (slot * K + np.arange(K)) % U, None
 
     def arrivals(r):
         base = s["offered_mbps"] - s["rate_sensitivity"] * r
@@ -69,7 +72,7 @@ def twin(name, need, s, slot=0):
                 take(u)
         for place in range(len(free)):
             take(order[place % U])
-        return owner, lambda R_: 0.0
+        return owner, None
     a = -np.log10(s["late_share"]) / D
     chi = (a * wait)[:R].mean()
     exponent = np.where(np.arange(U) < R, (a * wait - chi) / (1.0 + math.sqrt(chi)), 0.0)
@@ -98,7 +101,8 @@ def twin(name, need, s, slot=0):
 
     alone = np.column_stack([each(rate[:, k]) for k in range(K)])
     if name in CAPPED and need != "none":
-        alone = alone + 2.0**-20 * (alone.max() or 2.0**20) * np.log(rate)
+        # Between equal worths the sum of log r; how small its share is must not matter.
+        alone = alone + 1e-9 * (alone.max() or 1e9) * np.log(rate)
     users, prbs = linear_sum_assignment(-alone)
     owner = np.full(K, -1)
     owner[prbs] = users
@@ -121,8 +125,8 @@ CASES = [(name, need) for name in CLASSICAL for need in (NEEDS if name in CAPPED
 
 @pytest.mark.parametrize(("name", "need"), CASES, ids=["-".join(case) for case in CASES])
 def test_a_scheduler_is_its_twin(schedule, name, need):
-    """Equal decisions, but for ties: then the utilities are equal all the same."""
-    same = 0
+    """Equal decisions, but for a few ties: then the utilities are equal all the same."""
+    ties = 0
     for seed in range(150):
         s = state(seed)
         if need == "none":  # without a cap every PRB is as good as any to a user of weight 0
@@ -130,9 +134,12 @@ def test_a_scheduler_is_its_twin(schedule, name, need):
             s["hol_delay_s"] += 0.001
         got = np.array(schedule(name, slot=seed, need=need, **s))
         expected, utility = twin(name, need, s, seed)
+        assert set(got.tolist()) == set(range(U)), seed
+        if (got == expected).all():
+            continue
+        assert utility is not None, (seed, got, expected)
         rates = [np.bincount(o, s["rate"][o, range(K)].astype(float), U) for o in (got, expected)]
-        a, b = map(utility, rates)
-        assert a == pytest.approx(b, rel=1e-6, abs=1e-9), seed
-        assert np.bincount(got, minlength=U).min() >= 1
-        same += bool((got == expected).all())
-    assert same >= 147  # of 150; single precision decides the others
+        assert utility(rates[0]) == pytest.approx(utility(rates[1]), rel=1e-9), seed
+        ties += 1
+    # The rate decides most ties, single precision some: a rule that decides them by index has more.
+    assert ties <= 2

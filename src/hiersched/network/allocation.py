@@ -33,7 +33,13 @@ UTILITY_LAGRANGIAN = 2
 UTILITY_CAPPED = 3
 
 TIE_SHARE = 2.0**-20
-"""Of a slot's greatest worth: first PRBs whose worths w min(r, need) differ by less go by PF."""
+"""Of a slot's greatest worth: first PRBs whose worths w min(r, need) differ by less go by PF.
+
+Small enough that log r decides little but ties: it overrides only differences of about a millionth
+of the greatest worth. Large enough that it decides those ties: the assignment takes costs within
+2^-42 of each other as equal, so differences of log r count down to 2^-22. Free PRBs need no such
+share: those that raise no worth are given out afterwards, by log r alone.
+"""
 
 _USER_LANES = 8
 
@@ -384,7 +390,7 @@ def allocate_by_utility(
     weight
         Weight of each user, shape (U,).
     terms
-        What the Lagrangian needs; unused by the other two.
+        What the Lagrangian needs; unused by the others.
     scratch
         From `allocation_scratch`.
     owner

@@ -9,11 +9,13 @@ MaxWeight, M-LWDF, EXP/PF and LOG maximise the sum of w min(r, need): a user can
 slot than its queue holds, and without the cap a rule that gives out many PRBs a slot goes on
 feeding queues that are empty already (Andrews and Zhang, IEEE/ACM Trans. Networking 19(2), 2011).
 
-EXP/PF is the form of Capozzi et al. (IEEE Communications Surveys and Tutorials 15(2), 2013) and of
-LTE-Sim: its eMBB users have the weight 1 / R. Rhee et al. multiply that by an adaptive w(t) / M(t),
-M the mean number of waiting real-time packets, and w lowered by a step while a real-time packet
-waits too long, raised by a fraction of it otherwise; docs/paper_notes.md (5a) measures what a
-constant factor does. LOG is LTE-Sim's: natural logarithm, c = 1.1, a = 5 / deadline, factor 1 / R.
+EXP/PF gives URLLC users exp((a W - m) / (1 + sqrt m)) / R, m the mean a W of all URLLC users, those
+without a packet (W = 0) among them, and eMBB users 1 / R, as LTE-Sim does (Piro et al. 2011).
+LTE-Sim takes the mean over the users that have packets and cuts exponents below 0 to 0. Rhee et al.
+multiply the eMBB users' weight by an adaptive w(t) / M(t), M the mean number of waiting real-time
+packets, and w lowered by a step while a real-time packet waits too long, raised by a fraction of it
+otherwise. LOG is LTE-Sim's, ln(1.1 + 5 W / deadline) / R, for the users of both slices; Sadiq et
+al. have a factor b instead of 1 / R. docs/paper_notes.md (5a) says how much of this matters.
 """
 
 from __future__ import annotations
