@@ -31,8 +31,7 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.decoder import DecoderFactory
 
-from hiersched.env.features import num_features
-from hiersched.learning.networks import NETWORKS, Slices
+from hiersched.learning.networks import learner_network
 from hiersched.learning.policy import Policy
 from hiersched.log import TOPICS, LogDims, LogReader, LogWriter
 from hiersched.log.schema import descriptor_set, topics_in
@@ -209,11 +208,7 @@ def learned_runner(scenario: Scenario, learner: str, folder: Path) -> LearnedRun
 def some_policy(scenario: Scenario, learner: str) -> Policy:
     """A learner's policy with small random weights: it takes as long as a trained one."""
     learning, users = scenario.learned[learner], scenario.users
-    network = NETWORKS[learning.network](
-        Slices(users.num_urllc, users.num_embb),
-        num_features(learning.observe_robots),
-        learning.hidden,
-    )
+    network = learner_network(learning, users)
     shape = (2, network.actor.num_parameters)
     return Policy(
         parameters=np.random.default_rng(0).normal(scale=0.05, size=shape).astype(np.float32),

@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import smooth_l1_loss
 
-from hiersched.env.features import num_features
-from hiersched.learning.networks import NETWORKS, Slices, initial_stack
+from hiersched.learning.networks import initial_stack, learner_network
 from hiersched.learning.rewards import observe_multipliers, priced_rewards
 from hiersched.learning.stack import StackedAdam
 from hiersched.learning.step import Losses, Outcome, exploration_spread, seeded_normals
@@ -60,14 +59,10 @@ class A2c:
     """
 
     def __init__(self, scenario: Scenario, generators: list[np.random.Generator]) -> None:
-        learning, users = scenario.learning, scenario.users
+        learning = scenario.learning
         self._learning = learning
         self._generators = generators
-        self.network = NETWORKS[learning.network](
-            Slices(users.num_urllc, users.num_embb),
-            num_features(learning.observe_robots),
-            learning.hidden,
-        )
+        self.network = learner_network(learning, scenario.users)
         self._critic_layers = self.network.critic(sees_counts=False)
         self._shares = self.network.value_shares()
         self.actor = initial_stack(self.network.actor, "actor", learning.seeds, zero_output=True)

@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hiersched.env.features import num_features
-from hiersched.learning.networks import NETWORKS, Slices, initial_stack
+from hiersched.learning.networks import initial_stack, learner_network
 from hiersched.learning.step import Losses, Outcome, exploration_spread, seeded_normals
 from hiersched.scenario.schema import Scenario
 
@@ -29,14 +28,10 @@ class Frozen:
     """
 
     def __init__(self, scenario: Scenario, generators: list[np.random.Generator]) -> None:
-        learning, users = scenario.learning, scenario.users
+        learning = scenario.learning
         self._learning = learning
         self._generators = generators
-        network = NETWORKS[learning.network](
-            Slices(users.num_urllc, users.num_embb),
-            num_features(learning.observe_robots),
-            learning.hidden,
-        )
+        network = learner_network(learning, scenario.users)
         self.actor: Tensor = initial_stack(network.actor, "actor", learning.seeds, zero_output=True)
 
     def start_round(self, features: NDArray[np.float32]) -> None:

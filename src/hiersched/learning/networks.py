@@ -14,9 +14,10 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from hiersched.env.features import NEED_SCALE
+from hiersched.env.features import NEED_SCALE, num_features
 from hiersched.learning.stack import Layers
 from hiersched.randomness import world_key
+from hiersched.scenario.schema import Learning, Users
 
 NUM_AGENTS = 2
 
@@ -190,6 +191,15 @@ class FlatNetwork(Network):
 
 
 NETWORKS: dict[str, type[Network]] = {"shared": SharedNetwork, "mlp": FlatNetwork}
+
+
+def learner_network(learning: Learning, users: Users) -> Network:
+    """Make the network of a learner's section `learning` for so many users."""
+    return NETWORKS[learning.network](
+        Slices(users.num_urllc, users.num_embb),
+        num_features(learning.observe_robots),
+        learning.hidden,
+    )
 
 
 def initial_stack(

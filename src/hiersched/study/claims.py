@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from hiersched.scenario import Scenario
 from hiersched.study.collect import BASELINE
-from hiersched.study.conditions import Frames, by_coefficient, evaluated, swept, trained
+from hiersched.study.conditions import Frames, Noisy, by_coefficient, evaluated, swept, trained
 from hiersched.study.intervals import resolution
 from hiersched.study.measured import (
     PAIRED,
@@ -68,14 +68,7 @@ def _rewards(frames: Frames, scenario: Scenario) -> Claim:
             statements += _beyond(rise, control, f"{part}_reward", f"{label} reward", above=0.0)
         return tuple(statements)
 
-    def noisy(training: pd.DataFrame, block: int) -> tuple[Statement, ...]:
-        return tuple(
-            change_in_training(training, f"{part}_reward", block).statement(
-                f"{label} reward, last fifth − first fifth", "1", above=0.0
-            )
-            for part, label in PAIRED
-        )
-
+    noisy = _fifths_apart("reward", "reward", "1", above=0.0)
     base, others = trained(frames, scenario, measure, noisy)
     return Claim(
         number=1,
@@ -104,14 +97,7 @@ def _queues(frames: Frames, scenario: Scenario) -> Claim:
             )
         return tuple(statements)
 
-    def noisy(training: pd.DataFrame, block: int) -> tuple[Statement, ...]:
-        return tuple(
-            change_in_training(training, f"{part}_backlog_packets", block).statement(
-                f"{label} queue, last fifth − first fifth", "packets", below=0.0
-            )
-            for part, label in PAIRED
-        )
-
+    noisy = _fifths_apart("backlog_packets", "queue", "packets", below=0.0)
     base, others = trained(frames, scenario, measure, noisy)
     return Claim(
         number=2,
@@ -124,6 +110,20 @@ def _queues(frames: Frames, scenario: Scenario) -> Claim:
         others=others,
         unswept="Training is not repeated along the sweeps.",
     )
+
+
+def _fifths_apart(measure: str, name: str, unit: str, **claimed: float) -> Noisy:
+    """Return what states how much a measure of both slices changes in a training with its noise."""
+
+    def noisy(training: pd.DataFrame, block: int) -> tuple[Statement, ...]:
+        return tuple(
+            change_in_training(training, f"{part}_{measure}", block).statement(
+                f"{label} {name}, last fifth − first fifth", unit, **claimed
+            )
+            for part, label in PAIRED
+        )
+
+    return noisy
 
 
 def _beyond(

@@ -32,7 +32,7 @@ from hiersched.runs.variants import (
 from hiersched.scenario import Scenario
 from hiersched.scenario.schema import GainMethod, checkpoint_rounds
 from hiersched.study.fifo import FloatArray
-from hiersched.study.files import write_bytes
+from hiersched.study.files import csv_text, write_bytes
 from hiersched.study.metrics import (
     RunMetrics,
     run_metrics,
@@ -98,8 +98,7 @@ def measure_group(results_dir: Path, scenario: Scenario, group: str) -> pd.DataF
 def write_measures(results_dir: Path, scenario: Scenario, group: str) -> None:
     """Write what `measure_group` returns where `runs_frame` reads it."""
     table = measure_group(results_dir, scenario, group)
-    text: str = table.to_csv(index=False, lineterminator="\n")
-    write_bytes(results_dir / paths.measures_file(group), text.encode())
+    write_bytes(results_dir / paths.measures_file(group), csv_text(table).encode())
 
 
 def runs_frame(results_dir: Path, scenario: Scenario) -> pd.DataFrame:

@@ -13,6 +13,7 @@ from hiersched.scenario import Scenario
 from hiersched.study.verdicts import Condition, Statement
 
 Measure: TypeAlias = Callable[[pd.DataFrame, str], tuple[Statement, ...]]
+Noisy: TypeAlias = Callable[[pd.DataFrame, int], tuple[Statement, ...]]
 
 
 class Frames(NamedTuple):
@@ -25,23 +26,36 @@ class Frames(NamedTuple):
     gains: pd.DataFrame
 
 
+def learners(scenario: Scenario) -> list[str]:
+    """Return the learners that learn, the scenario's own first."""
+    return [name for name, learning in scenario.learned.items() if not learning.frozen]
+
+
+def controls(scenario: Scenario) -> list[str]:
+    """Return the learners that learn nothing."""
+    return [name for name, learning in scenario.learned.items() if learning.frozen]
+
+
 def learned_policies(scenario: Scenario) -> list[str]:
     """Return the evaluated policies that are learned, the scenario's own algorithm first."""
-    return [
-        name
-        for name, learning in scenario.learned.items()
-        if name in scenario.evaluate.policies and not learning.frozen
-    ]
+    return [name for name in learners(scenario) if name in scenario.evaluate.policies]
+
+
+def own_policy(scenario: Scenario) -> str:
+    """Return the policy under which claims are judged as configured: the first learned one."""
+    return next(iter(learned_policies(scenario)), scenario.learning.algorithm)
 
 
 def control_of(scenario: Scenario, learner: str) -> str | None:
     """Return the learner that learns nothing from the same start and under the same noise."""
     own = scenario.learned[learner]
-    for name, learning in scenario.learned.items():
-        if learning.frozen and not own.frozen:
-            same = (learning.algorithm, learning.start) == (own.algorithm, own.start)
-            if same and learning.seeds == own.seeds:
-                return name
+    if own.frozen:
+        return None
+    for name in controls(scenario):
+        control = scenario.learned[name]
+        same = (control.algorithm, control.start) == (own.algorithm, own.start)
+        if same and control.seeds == own.seeds:
+            return name
     return None
 
 
@@ -49,7 +63,7 @@ def trained(
     frames: Frames,
     scenario: Scenario,
     measure: Callable[[pd.DataFrame, pd.DataFrame | None], tuple[Statement, ...]],
-    noisy: Callable[[pd.DataFrame, int], tuple[Statement, ...]],
+    noisy: Noisy,
 ) -> tuple[Condition, tuple[Condition, ...]]:
     """Judge every learner by its noise-free checkpoints; the scenario's own is the base.
 
@@ -67,22 +81,21 @@ def trained(
     noisy
         From a training and the episodes that ran side by side in it to statements.
     """
-    learners = [name for name, learning in scenario.learned.items() if not learning.frozen]
-    controls = [name for name in scenario.learned if name not in learners]
+    idle = controls(scenario)
     conditions = []
-    for name in learners:
+    for name in learners(scenario):
         control = control_of(scenario, name)
         beside = frames.checkpoints[control] if control is not None else None
         statements = measure(frames.checkpoints[name], beside)
         conditions.append(Condition(axis="policy", value=name, policy=name, statements=statements))
-    for name in controls:
+    for name in idle:
         statements = measure(frames.checkpoints[name], None)
         conditions.append(_shown("learns nothing", name, statements))
-    for name in (*learners, *controls):
+    for name in (*learners(scenario), *idle):
         block = scenario.learned[name].num_envs
         training = frames.training[name]
         if training["episode"].max() > block:  # a training of one round says nothing
-            what = "learns nothing, with noise" if name in controls else "with noise"
+            what = "learns nothing, with noise" if name in idle else "with noise"
             conditions.append(_shown(what, name, noisy(training, block)))
     return _first(conditions), tuple(conditions[1:])
 
@@ -119,7 +132,7 @@ def evaluated(
             axis=axis, value=value, policy=policy, statements=statements, counts=counts
         )
 
-    own = learned[0] if learned else scenario.learning.algorithm
+    own = own_policy(scenario)
     base = condition("", "", own, frames.runs)
     others = [condition("policy", p, p, frames.runs) for p in learned[1:]]
     for axis, key in {**SWEPT_KEYS, "cell": "users and PRBs"}.items():
@@ -148,7 +161,7 @@ def swept(
     """
     along = frames.sweeps[frames.sweeps["axis"] == axis]
     learned = learned_policies(scenario)
-    own = learned[0] if learned else scenario.learning.algorithm
+    own = own_policy(scenario)
     enough = along["value"].nunique() > 1
     present = list(dict.fromkeys(along["policy"]))
     conditions = [

@@ -6,16 +6,19 @@ from collections.abc import Mapping
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hiersched.scenario import Scenario
 from hiersched.study.collect import BASELINE
+from hiersched.study.conditions import controls, learners
 from hiersched.study.figures_standing import LOAD_BOUNDS, LOAD_PANELS, spans_decades
 from hiersched.study.figures_training import checkpoint_curve, training_curve
 from hiersched.study.style import (
     CONTROL,
     GREY,
     PANEL_HEIGHT_IN,
+    Look,
     arrows_text,
     caption,
     draw_series,
@@ -55,31 +58,22 @@ def draw_learning(
     )
     floor = zero_floor(late)
     kinds = (("with noise", training), ("without noise", checkpoints))
-    named = {*_named(scenario), *_frozen(scenario)[:1]}
+    named = {*learners(scenario), *controls(scenario)[:1]}  # one control names all
     limits: dict[str, list[float]] = {}
     for axes, (kind, frames), letters in zip(rows, kinds, ("abc", "def"), strict=True):
         for panel, (measure, title, label), letter in zip(axes, _CURVES, letters, strict=True):
             for learner, frame in frames.items():
                 learning = scenario.learned[learner]
-                look = CONTROL if learning.frozen else policy_look(learner, _named(scenario))
+                look = CONTROL if learning.frozen else policy_look(learner, learners(scenario))
+                look = look._replace(label=look.label if learner in named else "_")
                 if frames is training:
                     curve = training_curve(frame, measure, learning.num_envs)
+                    look = look._replace(marker="none")
                 else:
                     curve = checkpoint_curve(frame, measure)
-                done = curve["episode"] / learning.episodes
                 # Bands leave the logarithmic axes where they include 0.
                 least = floor if measure == "urllc_late_share" else 0.1 * curve["mean"].min()
-                low, mean, high = (curve[end].clip(lower=least) for end in ("lo", "mean", "hi"))
-                panel.fill_between(done, low, high, color=look.color, alpha=0.12, linewidth=0.0)
-                panel.plot(
-                    done,
-                    mean,
-                    color=look.color,
-                    linestyle=look.dashes,
-                    marker=look.marker if frames is checkpoints else "none",
-                    markersize=3.0,
-                    label=look.label if learner in named else "_",
-                )
+                _draw_curve(panel, curve, learning.episodes, look, least)
             panel.set_title(f"({letter}) {title}, {kind}", fontsize="medium")
             panel.set_ylabel(label)
             panel.set_xlim(-0.02, 1.02)
@@ -106,14 +100,20 @@ def draw_learning(
     return figure
 
 
-def _frozen(scenario: Scenario) -> list[str]:
-    """List the learners that learn nothing: one of them names all."""
-    return [name for name, learning in scenario.learned.items() if learning.frozen]
-
-
-def _named(scenario: Scenario) -> list[str]:
-    """List the learners that learn: their places say how they are drawn."""
-    return [name for name, learning in scenario.learned.items() if not learning.frozen]
+def _draw_curve(panel: Axes, curve: pd.DataFrame, episodes: int, look: Look, least: float) -> None:
+    """Draw a mean and its band, cut at the least value, over the share of the training."""
+    done = curve["episode"] / episodes
+    low, mean, high = (curve[end].clip(lower=least) for end in ("lo", "mean", "hi"))
+    panel.fill_between(done, low, high, color=look.color, alpha=0.12, linewidth=0.0)
+    panel.plot(
+        done,
+        mean,
+        color=look.color,
+        linestyle=look.dashes,
+        marker=look.marker,
+        markersize=3.0,
+        label=look.label,
+    )
 
 
 def draw_learners(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
@@ -126,7 +126,7 @@ def draw_learners(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     scenario
         Its learners.
     """
-    shown = [*_named(scenario), *BESIDE]
+    shown = [*learners(scenario), *BESIDE]
     table = sweeps[(sweeps["axis"] == "load") & sweeps["policy"].isin(shown)]
     policies = [policy for policy in shown if policy in set(table["policy"])]
     figure = Figure(figsize=(7.2, 2.15 * PANEL_HEIGHT_IN), layout="constrained")

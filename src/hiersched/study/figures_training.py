@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from hiersched.scenario import Scenario
 from hiersched.study.conditions import control_of
@@ -37,11 +38,7 @@ def training_curve(training: pd.DataFrame, measure: str, block: int) -> pd.DataF
     """
     number = (training["episode"] - 1) // block
     by_seed = training.groupby([number.rename("block"), "seed"])[measure].mean().unstack("seed")
-    last = training.groupby(number)["episode"].max()
-    intervals = [mean_interval(row) for row in by_seed.to_numpy()]
-    frame = pd.DataFrame(intervals, columns=["mean", "lo", "hi"])
-    frame.insert(0, "episode", last.to_numpy())
-    return frame
+    return _curve(training.groupby(number)["episode"].max().to_numpy(), by_seed)
 
 
 def draw_rewards(
@@ -151,9 +148,15 @@ def _draw_training(
 def checkpoint_curve(checkpoints: pd.DataFrame, measure: str) -> pd.DataFrame:
     """Return the mean over seeds of a measure at noise-free checkpoints: episode, mean, lo, hi."""
     by_seed = checkpoints.pivot(index="episode", columns="seed", values=measure)
-    intervals = [mean_interval(row) for row in by_seed.to_numpy()]
-    frame = pd.DataFrame(intervals, columns=["mean", "lo", "hi"])
-    frame.insert(0, "episode", by_seed.index.to_numpy())
+    return _curve(by_seed.index.to_numpy(), by_seed)
+
+
+def _curve(episode: NDArray[np.int64], by_seed: pd.DataFrame) -> pd.DataFrame:
+    """Return episode, mean, lo, hi from one row of seeds an episode."""
+    frame = pd.DataFrame(
+        [mean_interval(row) for row in by_seed.to_numpy()], columns=["mean", "lo", "hi"]
+    )
+    frame.insert(0, "episode", episode)
     return frame
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+import pandas as pd
+
 
 def write_bytes(path: Path, data: bytes) -> Path:
     """Write a file under another name first and rename it then; return its path.
@@ -16,3 +18,9 @@ def write_bytes(path: Path, data: bytes) -> Path:
     part.write_bytes(data)
     os.replace(part, path)
     return path
+
+
+def csv_text(table: pd.DataFrame) -> str:
+    """Return a table as CSV: numbers read back to the same bits, an empty cell is no number."""
+    text: str = table.to_csv(index=False, lineterminator="\n")
+    return text

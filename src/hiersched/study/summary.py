@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 
 from hiersched.control import GainSchedule, spectral_radius_by_delay
+from hiersched.runs.policies import world_slots
 from hiersched.scenario import Scenario
 from hiersched.simulator.gains import plant_of
 from hiersched.study.collect import BASELINE, read_evaluation, violation_column
@@ -212,15 +213,19 @@ def rate_table(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
     if not present:
         return pd.DataFrame(columns=["slot", "seeds"])
 
-    warmup_slots = round(scenario.evaluate.warmup_s / scenario.radio.slot_s)
+    _, warmup_slots = world_slots(scenario.evaluate, scenario.radio.slot_s)
 
-    def by_slot(policy: str, name: str) -> np.ndarray[Any, Any]:
-        """Return the mean over URLLC users, shape (seeds, T)."""
-        logs = [read_evaluation(results_dir, policy, seed, [name]).fields[name] for seed in seeds]
-        return np.array([log[:, :urllc].mean(axis=1, dtype=np.float64) for log in logs])
+    def by_slot(policy: str) -> np.ndarray[Any, Any]:
+        """Return channel gain and rate, means over URLLC users, shape (2, seeds, T)."""
+        names = ("mean_fading_power", "rate_mbps")
+        logs = [read_evaluation(results_dir, policy, seed, names).fields for seed in seeds]
+        return np.array(
+            [[log[n][:, :urllc].mean(axis=1, dtype=np.float64) for log in logs] for n in names]
+        )
 
-    gain = by_slot(present[0], "mean_fading_power")
-    rates = {policy: by_slot(policy, "rate_mbps") for policy in present}
+    both = {policy: by_slot(policy) for policy in present}
+    gain = both[present[0]][0]
+    rates = {policy: rate for policy, (_, rate) in both.items()}
     rows = []
     slots: list[int | str] = [*TABLE3, "mean"]
     for slot in slots:

@@ -19,7 +19,7 @@ from hiersched.study.collect import (
     gain_schedules,
     sweep_frame,
 )
-from hiersched.study.files import write_bytes
+from hiersched.study.files import csv_text, write_bytes
 from hiersched.study.gain_summary import (
     grid_table,
     methods_table,
@@ -280,12 +280,6 @@ def parameter_table(scenario: Scenario, defaults: Path | None = None) -> pd.Data
             }
         )
     return pd.DataFrame(rows)
-
-
-def csv_text(table: pd.DataFrame) -> str:
-    """Return a table as CSV: numbers read back to the same bits, an empty cell is no number."""
-    text: str = table.to_csv(index=False, lineterminator="\n")
-    return text
 
 
 def markdown_text(table: pd.DataFrame, title: str, note: str) -> str:
