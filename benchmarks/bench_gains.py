@@ -14,7 +14,7 @@ from common import Figure, cpu_seconds, main, paper
 import numpy as np
 
 from hiersched.control import GainDesigner, GainSchedule, load_or_build, switching_report
-from hiersched.simulator.gains import plant_of
+from hiersched.simulator.loop_gains import plant_of
 
 ALTERNATIVES = {"h2": 3.0, "latency_compensated": 0.1, "predictor": 0.02}
 """Method -> most CPU time of its table, as a multiple of the default's."""

@@ -20,14 +20,14 @@ from common import Figure, cpu_seconds, main, paper
 # isort: split
 import numpy as np
 
+from hiersched.core.randomness import world_keys
 from hiersched.env import SlicingEnv
 from hiersched.learning.policy import single_thread
 from hiersched.learning.trainer import Trainer
-from hiersched.randomness import world_keys
 from hiersched.runs.gains import design_gains
 from hiersched.scenario import Scenario
 from hiersched.simulator import Gains, Simulator
-from hiersched.simulator.gains import loop_gains
+from hiersched.simulator.loop_gains import loop_gains
 
 SEEDS = tuple(range(1, 11))
 VARIANTS = {

@@ -31,11 +31,11 @@ from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.decoder import DecoderFactory
 
+from hiersched.core.randomness import world_keys
 from hiersched.learning.networks import learner_network
 from hiersched.learning.policy import Policy
 from hiersched.log import TOPICS, LogDims, LogReader, LogWriter
 from hiersched.log.schema import descriptor_set, topics_in
-from hiersched.randomness import world_keys
 from hiersched.runs import evaluate as stage
 from hiersched.runs import paths
 from hiersched.runs.gains import design_gains
@@ -43,7 +43,7 @@ from hiersched.runs.learned import LearnedRunner
 from hiersched.runs.policies import PolicyRunner, run_classical
 from hiersched.scenario import Scenario
 from hiersched.simulator import Simulator
-from hiersched.simulator.gains import LoopGains, plant_of
+from hiersched.simulator.loop_gains import LoopGains, plant_of
 
 DIMS = LogDims(num_urllc=10, num_embb=10, num_prb=25)
 SLOT_NS = 10_000_000

@@ -18,11 +18,11 @@ from common import Figure, main, paper
 # isort: split
 import numpy as np
 
-from hiersched.compiled import kernel
-from hiersched.randomness import world_keys
+from hiersched.core.compiled import kernel
+from hiersched.core.randomness import world_keys
 from hiersched.simulator import Simulator, SlotRecord
-from hiersched.simulator.gains import LoopGains, plant_of
-from hiersched.simulator.kernel import draw_channel
+from hiersched.simulator.loop import draw_channel
+from hiersched.simulator.loop_gains import LoopGains, plant_of
 
 SLOTS = 200
 FLOOR = "fading draws and rates alone, 64 worlds"

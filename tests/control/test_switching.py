@@ -13,7 +13,7 @@ from hiersched.control import (
     lift,
     switching_report,
 )
-from hiersched.control.common import common_functional
+from hiersched.control.common_functional import common_functional
 from hiersched.control.functional import (
     contraction,
     extended,

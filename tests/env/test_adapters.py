@@ -8,8 +8,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
+from hiersched.core.randomness import world_key
 from hiersched.env import SlicingEnv, SlicingParallelEnv, SlicingVectorEnv, user_features
-from hiersched.randomness import world_key
 from hiersched.simulator import Simulator
 
 

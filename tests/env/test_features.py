@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hiersched.core.randomness import world_keys
 from hiersched.env import FEATURES, SlotLoop, agent_views, user_features
 from hiersched.env.core import task_costs
 from hiersched.env.features import num_features
-from hiersched.randomness import world_keys
 from hiersched.simulator import Simulator
 
 

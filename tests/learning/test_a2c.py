@@ -8,7 +8,7 @@ import torch
 
 from hiersched.env import agent_views
 from hiersched.learning.a2c import A2c, advantages
-from hiersched.learning.step import Outcome
+from hiersched.learning.algorithm import Outcome
 
 SEEDS, ENVS, SLOTS, USERS, URLLC = 2, 3, 2, 5, 3
 

@@ -8,7 +8,7 @@ import torch
 
 from hiersched.env import agent_views
 from hiersched.learning.ddpg import Learner
-from hiersched.learning.replay import Transitions
+from hiersched.learning.replay_buffer import Transitions
 from hiersched.learning.stack import StackedAdam
 
 PRBS = 8

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 import torch
 
+from hiersched.core.randomness import world_keys
 from hiersched.env import user_features
 from hiersched.learning.policy import Policy, PolicyError, rollout
 from hiersched.learning.trainer import Trainer
-from hiersched.randomness import world_keys
 from hiersched.simulator import Simulator
 
 

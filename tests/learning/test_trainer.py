@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hiersched.core.randomness import world_key
 from hiersched.learning.checkpoint import CheckpointError
 from hiersched.learning.rewards import user_rewards
 from hiersched.learning.trainer import Trainer, train
-from hiersched.randomness import world_key
 from hiersched.simulator import Simulator
 
 ENVS, SLOTS = 2, 6

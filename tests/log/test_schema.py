@@ -21,7 +21,7 @@ from hiersched.log.schema import (
     proto_source,
     topics_in,
 )
-from hiersched.simulator.records import SlotLayout
+from hiersched.simulator.record import SlotLayout
 
 FOLDER = Path(hiersched.log.__file__).parent
 NUMPY_TYPES = {

@@ -11,7 +11,7 @@ from hiersched.control import Certificate, build_schedule
 from hiersched.runs.events import slot_events, stretches
 from hiersched.runs.gains import load_gains
 from hiersched.scenario import Scenario
-from hiersched.simulator.gains import plant_of
+from hiersched.simulator.loop_gains import plant_of
 
 
 @given(arrays(np.bool_, st.tuples(st.integers(0, 12), st.integers(0, 3))))

@@ -96,10 +96,10 @@ def test_every_script_reaches_what_it_needs(project_root: Path) -> None:
 
     assert {
         "hiersched.learning.ddpg",
-        "hiersched.simulator.kernel",
+        "hiersched.simulator.loop",
         "hiersched.log.writer",
     } <= reached("train")
-    assert "hiersched.network.schedulers" in reached("evaluate_classical")
+    assert "hiersched.policies.rules" in reached("evaluate_classical")
     assert not any(name.startswith("hiersched.learning") for name in reached("evaluate_classical"))
     assert not any(name.startswith("hiersched.learning") for name in reached("sweep_classical"))
     assert not any(name.startswith("hiersched.learning") for name in reached("gains"))

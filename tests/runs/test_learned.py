@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hiersched.core.randomness import world_keys
 from hiersched.learning.policy import Policy, rollout
 from hiersched.log import LogReader
-from hiersched.randomness import world_keys
 from hiersched.runs import paths
 from hiersched.runs import train as stage
 from hiersched.runs.evaluate import evaluate
@@ -21,7 +21,7 @@ from hiersched.runs.train import train_and_log
 from hiersched.scenario import Scenario
 from hiersched.scenario.schema import checkpoint_rounds
 from hiersched.simulator import Simulator
-from hiersched.simulator.gains import LoopGains
+from hiersched.simulator.loop_gains import LoopGains
 
 EPISODES, SLOTS = 6, 10
 

@@ -19,7 +19,7 @@ from hiersched.runs.stability import (
     write_stability,
 )
 from hiersched.scenario import Scenario
-from hiersched.simulator.gains import plant_of
+from hiersched.simulator.loop_gains import plant_of
 
 
 @pytest.mark.parametrize("limit", range(-1, 8))

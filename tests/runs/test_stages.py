@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hiersched.core.randomness import world_key
 from hiersched.log import LogReader
-from hiersched.randomness import world_key
 from hiersched.runs import paths
 from hiersched.runs.evaluate import evaluate
 from hiersched.runs.gain_study import forced_delays, gain_study, gain_sweep

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from hiersched.network.traffic import MAX_MEAN
+from hiersched.models.traffic.poisson import MAX_MEAN
 from hiersched.scenario import ScenarioError, load_scenario
 from hiersched.scenario.consistency import MAX_MEAN_BATCHES
 

@@ -92,7 +92,7 @@ def test_what_a_linear_plant_needs(load_plant, changes, words):
 
 def test_the_example_is_stable_only_with_adjusted_gains(config):
     from hiersched.control import build_schedule, spectral_radius_by_delay
-    from hiersched.simulator.gains import plant_of
+    from hiersched.simulator.loop_gains import plant_of
 
     scenario = load_scenario(config / "scenarios/linear_plant.yaml")
     plant, T = plant_of(scenario), scenario.max_delay_steps

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hiersched.randomness import world_keys
+from hiersched.core.randomness import world_keys
 from hiersched.simulator import Simulator
 
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hiersched.randomness import world_keys
-from hiersched.simulator.gains import LoopGains
+from hiersched.core.randomness import world_keys
+from hiersched.simulator.loop_gains import LoopGains
 
 
 def test_unknown_policy(make_simulator):

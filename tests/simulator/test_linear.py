@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from hiersched.control import build_schedule, hold_delays
-from hiersched.randomness import world_keys
+from hiersched.core.randomness import world_keys
 from hiersched.scenario.schema import LinearPlant
 from hiersched.simulator import Simulator
-from hiersched.simulator.gains import loop_gains, plant_of
+from hiersched.simulator.loop_gains import loop_gains, plant_of
 
 PLANT = LinearPlant(
     A=((1.0, 0.02, 0.0), (0.0, 1.0, 0.02), (0.0, 0.0, 0.9)),

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from hiersched.control import build_schedule, hold_delays
-from hiersched.robot.dynamics import SLIP, STATE
+from hiersched.models.plant.unicycle import SLIP, STATE
 from hiersched.runs.events import entries_in_force
-from hiersched.simulator.gains import LoopGains, loop_gains, plant_of
+from hiersched.simulator.loop_gains import LoopGains, loop_gains, plant_of
 
 STILL = {
     "slip_speed_mps": 0.0,

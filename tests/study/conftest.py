@@ -23,7 +23,7 @@ from hiersched.runs.variants import (
 )
 from hiersched.scenario import Scenario, load_scenario
 from hiersched.scenario.schema import checkpoint_rounds
-from hiersched.simulator.gains import plant_of
+from hiersched.simulator.loop_gains import plant_of
 from hiersched.study.collect import write_measures
 from hiersched.study.fifo import backlog_path, deadline_in_slots, late_packets
 

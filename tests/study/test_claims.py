@@ -21,7 +21,7 @@ from hiersched.study.claims_report import (
     verdict_table,
     write_claims,
 )
-from hiersched.study.conditions import Frames
+from hiersched.study.sensitivities import Frames
 from hiersched.study.statistics import Interval, halvings, mean_interval
 from hiersched.study.tables import write_tables
 from hiersched.study.verdicts import (

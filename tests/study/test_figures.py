@@ -19,14 +19,14 @@ from hiersched.study.collect import (
     sweep_frame,
     training_frame,
 )
+from hiersched.study.comparison import bound_frame, bound_table, generalisation_table
+from hiersched.study.distributions import delay_tails
 from hiersched.study.figures import build_figures, draw_figures
+from hiersched.study.figures_comparison import draw_load, draw_pareto, pareto_front
 from hiersched.study.figures_delay import draw_violations
 from hiersched.study.figures_gain import draw_gain
 from hiersched.study.figures_rates import draw_dexterity, draw_rayleigh
-from hiersched.study.figures_standing import draw_load, draw_pareto, pareto_front
 from hiersched.study.figures_training import training_curve
-from hiersched.study.samples import delay_tails
-from hiersched.study.standing import bound_frame, bound_table, generalisation_table
 from hiersched.study.style import (
     arrows_text,
     draw_series,

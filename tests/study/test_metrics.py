@@ -182,8 +182,8 @@ def test_the_recomputed_counts_are_the_simulators(
     """Exact, over policies that overload some queues: `run_metrics` raises if a count differs."""
     from types import SimpleNamespace
 
+    from hiersched.core.randomness import world_keys
     from hiersched.log import LogDims
-    from hiersched.randomness import world_keys
     from hiersched.scenario import load_scenario
     from hiersched.simulator import Simulator
 

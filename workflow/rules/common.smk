@@ -4,7 +4,7 @@ import shlex
 import sys
 from pathlib import Path
 
-from hiersched.runs import paths, spec
+from hiersched.runs import dependencies, paths
 from hiersched.runs.fingerprint import KERNEL_MODULE, code_fingerprint
 from hiersched.runs.gain_points import GAIN_SWEEPS
 from hiersched.runs.variants import (

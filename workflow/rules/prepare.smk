@@ -14,8 +14,8 @@ rule resolve:
         "results/{scenario}/benchmarks/resolve.tsv"
     threads: 1
     params:
-        spec=lambda w: spec.stage_spec(
-            "resolve", spec.scenario_values(BY_NAME[w.scenario]), script("resolve")
+        spec=lambda w: dependencies.stage_spec(
+            "resolve", dependencies.scenario_values(BY_NAME[w.scenario]), script("resolve")
         ),
         args=lambda w: arguments("resolve", BY_NAME[w.scenario]),
     message:
@@ -33,8 +33,8 @@ rule gains:
         "results/{scenario}/benchmarks/gains_{design}.tsv"
     threads: 1
     params:
-        spec=lambda w: spec.stage_spec(
-            "gains", spec.gains_values(BY_NAME[w.scenario], w.design), script("gains")
+        spec=lambda w: dependencies.stage_spec(
+            "gains", dependencies.gains_values(BY_NAME[w.scenario], w.design), script("gains")
         ),
         args=lambda w: arguments("gains", BY_NAME[w.scenario], "--design", w.design),
     message:
@@ -54,8 +54,8 @@ rule stability:
         "results/{scenario}/benchmarks/stability.tsv"
     threads: 1
     params:
-        spec=lambda w: spec.stage_spec(
-            "stability", spec.stability_values(BY_NAME[w.scenario]), script("stability")
+        spec=lambda w: dependencies.stage_spec(
+            "stability", dependencies.stability_values(BY_NAME[w.scenario]), script("stability")
         ),
         args=lambda w: arguments("stability", BY_NAME[w.scenario]),
     message:

@@ -20,9 +20,9 @@ for s in SCENARIOS:
                 f"{folder(s)}/benchmarks/evaluate_{group}.tsv"
             threads: 1
             params:
-                spec=spec.stage_spec(
+                spec=dependencies.stage_spec(
                     f"evaluate_{group}",
-                    spec.evaluate_values(s, group),
+                    dependencies.evaluate_values(s, group),
                     script(name),
                 ),
                 args=arguments(name, s, *more),
@@ -50,9 +50,9 @@ for s in SCENARIOS:
                     f"{folder(s)}/benchmarks/sweep_{axis}_{group}.tsv"
                 threads: 1
                 params:
-                    spec=spec.stage_spec(
+                    spec=dependencies.stage_spec(
                         f"sweep_{axis}_{group}",
-                        spec.sweep_values(s, axis, group),
+                        dependencies.sweep_values(s, axis, group),
                         script(name),
                     ),
                     args=arguments(name, s, *more, "--axis", axis),
@@ -79,9 +79,9 @@ for s in SCENARIOS:
                 f"{folder(s)}/benchmarks/generalise_{group}.tsv"
             threads: 1
             params:
-                spec=spec.stage_spec(
+                spec=dependencies.stage_spec(
                     f"generalise_{group}",
-                    spec.cell_values(s, group),
+                    dependencies.cell_values(s, group),
                     script(name),
                 ),
                 args=arguments(name, s, *more),
@@ -109,7 +109,7 @@ for s in SCENARIOS:
             f"{folder(s)}/benchmarks/bound.tsv"
         threads: 1
         params:
-            spec=spec.stage_spec("bound", spec.bound_values(s), script("bound")),
+            spec=dependencies.stage_spec("bound", dependencies.bound_values(s), script("bound")),
             args=arguments("bound", s),
         message:
             f"Computing exact optima of {s.name}"
@@ -130,7 +130,7 @@ for s in SCENARIOS:
             f"{folder(s)}/benchmarks/gain_study.tsv"
         threads: 1
         params:
-            spec=spec.stage_spec("gain_study", spec.gain_study_values(s), script("gain_study")),
+            spec=dependencies.stage_spec("gain_study", dependencies.gain_study_values(s), script("gain_study")),
             args=arguments("gain_study", s),
         message:
             f"Running the gain study of {s.name}"
@@ -153,8 +153,8 @@ for s in SCENARIOS:
                 f"{folder(s)}/benchmarks/gain_sweep_{axis}.tsv"
             threads: 1
             params:
-                spec=spec.stage_spec(
-                    f"gain_sweep_{axis}", spec.gain_sweep_values(s, axis), script("gain_sweep")
+                spec=dependencies.stage_spec(
+                    f"gain_sweep_{axis}", dependencies.gain_sweep_values(s, axis), script("gain_sweep")
                 ),
                 args=arguments("gain_sweep", s, "--axis", axis),
             message:

@@ -17,8 +17,8 @@ for s in SCENARIOS:
                 f"{folder(s)}/benchmarks/measure_{group}.tsv"
             threads: 1
             params:
-                spec=spec.stage_spec(
-                    f"measure_{group}", spec.measure_values(s, group), script("measure")
+                spec=dependencies.stage_spec(
+                    f"measure_{group}", dependencies.measure_values(s, group), script("measure")
                 ),
                 args=arguments("measure", s, "--group", group),
             message:
@@ -55,8 +55,8 @@ rule aggregate:
         "results/{scenario}/benchmarks/aggregate.tsv"
     threads: 1
     params:
-        spec=lambda w: spec.stage_spec(
-            "aggregate", spec.scenario_values(BY_NAME[w.scenario], NOTES), script("aggregate")
+        spec=lambda w: dependencies.stage_spec(
+            "aggregate", dependencies.scenario_values(BY_NAME[w.scenario], NOTES), script("aggregate")
         ),
         args=lambda w: arguments("aggregate", BY_NAME[w.scenario]),
     message:
@@ -92,8 +92,8 @@ rule figures:
         "results/{scenario}/benchmarks/figures.tsv"
     threads: 1
     params:
-        spec=lambda w: spec.stage_spec(
-            "figures", spec.scenario_values(BY_NAME[w.scenario]), script("figures")
+        spec=lambda w: dependencies.stage_spec(
+            "figures", dependencies.scenario_values(BY_NAME[w.scenario]), script("figures")
         ),
         args=lambda w: arguments("figures", BY_NAME[w.scenario]),
     message:
@@ -123,8 +123,8 @@ rule claims:
         "results/{scenario}/benchmarks/claims.tsv"
     threads: 1
     params:
-        spec=lambda w: spec.stage_spec(
-            "claims", spec.scenario_values(BY_NAME[w.scenario]), script("claims")
+        spec=lambda w: dependencies.stage_spec(
+            "claims", dependencies.scenario_values(BY_NAME[w.scenario]), script("claims")
         ),
         args=lambda w: arguments("claims", BY_NAME[w.scenario]),
     message:

@@ -21,8 +21,8 @@ for s in SCENARIOS:
             priority: 50  # most others wait for it
             threads: 1
             params:
-                spec=spec.stage_spec(
-                    f"train_{learner}", spec.train_values(s, learner), script("train")
+                spec=dependencies.stage_spec(
+                    f"train_{learner}", dependencies.train_values(s, learner), script("train")
                 ),
                 args=arguments("train", s, "--learner", learner),
             message:

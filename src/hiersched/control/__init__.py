@@ -16,14 +16,14 @@ from hiersched.control.certificate import (
     RazumikhinWitness,
     certify,
 )
+from hiersched.control.delayed_plant import DelayedPlant, network_plant, split_plant
+from hiersched.control.gain_schedule import build_schedule, load_or_build
 from hiersched.control.gain_table import GainSchedule
 from hiersched.control.h2 import h2_cost, h2_gain
-from hiersched.control.hold import hold_delays, hold_step
+from hiersched.control.hysteresis import hold_delays, hold_step
 from hiersched.control.lifted import lift, simulate_random_delays, spectral_radius_by_delay
 from hiersched.control.lqr import dlqr, latency_compensated, tracking_weights
-from hiersched.control.plant import DelayedPlant, network_plant, split_plant
 from hiersched.control.predictor import input_memory_radii, predictor_gains
-from hiersched.control.schedule import build_schedule, load_or_build
 
 if TYPE_CHECKING:
     from hiersched.control.design import GainDesign, GainDesigner, design_gain

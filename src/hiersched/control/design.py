@@ -12,12 +12,12 @@ import numpy as np
 
 from hiersched.control.certificate import Certificate, Witness, certify
 from hiersched.control.checks import FloatArray, as_delay_steps
+from hiersched.control.delayed_plant import DelayedPlant, require_network
 from hiersched.control.h2 import h2_gain
 from hiersched.control.krasovskii import analyse_krasovskii
 from hiersched.control.krasovskii_synthesis import KrasovskiiSynthesis
 from hiersched.control.lqr import latency_compensated
 from hiersched.control.methods import CERTIFYING, DEFAULT_DECAY_RATE, Method, Status
-from hiersched.control.plant import DelayedPlant, require_network
 from hiersched.control.predictor import input_memory_radii, predictor_gains
 from hiersched.control.razumikhin import analyse_razumikhin, razumikhin_gamma
 from hiersched.control.razumikhin_synthesis import RazumikhinSynthesis

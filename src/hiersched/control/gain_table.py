@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from hiersched.control.certificate import Certificate, certify
 from hiersched.control.checks import FloatArray, as_matrix
+from hiersched.control.delayed_plant import DelayedPlant
 from hiersched.control.methods import Status
-from hiersched.control.plant import DelayedPlant
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -204,7 +204,7 @@ class GainSchedule:
 
     def to_json(self) -> str:
         """Return the schedule as JSON text; every float comes back bit for bit."""
-        from hiersched.control.schedule_json import dump_schedule
+        from hiersched.control.gain_schedule_json import dump_schedule
 
         return dump_schedule(self)
 
@@ -217,6 +217,6 @@ class GainSchedule:
         ValueError
             If the text is no schedule; the message names the field.
         """
-        from hiersched.control.schedule_json import parse_schedule
+        from hiersched.control.gain_schedule_json import parse_schedule
 
         return parse_schedule(text)

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from scipy.linalg import solve_discrete_lyapunov
 
 from hiersched.control.checks import FloatArray, as_delay_steps, as_matrix, spectral_radius
-from hiersched.control.plant import DelayedPlant, require_network
+from hiersched.control.delayed_plant import DelayedPlant, require_network
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -7,8 +7,8 @@ import numpy as np
 
 from hiersched.control.certificate import KrasovskiiWitness
 from hiersched.control.checks import FloatArray
+from hiersched.control.delayed_plant import DelayedPlant
 from hiersched.control.lmi import STRICT, solve, symmetric_blocks, symmetrised
-from hiersched.control.plant import DelayedPlant
 
 
 class FixedFunctional:

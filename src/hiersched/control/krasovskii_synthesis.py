@@ -10,6 +10,7 @@ import numpy as np
 
 from hiersched.control.certificate import KrasovskiiWitness
 from hiersched.control.checks import FloatArray, as_delay_steps, as_symmetric, require_definite
+from hiersched.control.delayed_plant import DelayedPlant
 from hiersched.control.krasovskii import analyse_krasovskii
 from hiersched.control.krasovskii_fixed import FixedFunctional
 from hiersched.control.lmi import (
@@ -19,7 +20,6 @@ from hiersched.control.lmi import (
     solve,
     symmetric_blocks,
 )
-from hiersched.control.plant import DelayedPlant
 
 CENTRAL_EPSILON = 5.0
 """Where the line search over epsilon/T starts: the optimum lay within 2..10 in every trial."""

@@ -10,9 +10,9 @@ import numpy as np
 
 from hiersched.control.certificate import RazumikhinWitness
 from hiersched.control.checks import FloatArray, as_symmetric, require_definite
+from hiersched.control.delayed_plant import DelayedPlant
 from hiersched.control.lmi import STRICT, line_search, solve, symmetric_blocks, symmetrised
 from hiersched.control.methods import DEFAULT_DECAY_RATE
-from hiersched.control.plant import DelayedPlant
 from hiersched.control.razumikhin import razumikhin_gamma
 
 CENTRAL_TAU = 2.0**-5

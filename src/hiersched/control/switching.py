@@ -18,7 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from hiersched.control.checks import FloatArray
-from hiersched.control.common import common_functional
+from hiersched.control.common_functional import common_functional
+from hiersched.control.delayed_plant import DelayedPlant
 from hiersched.control.functional import (
     contraction,
     extended,
@@ -29,7 +30,6 @@ from hiersched.control.functional import (
 )
 from hiersched.control.gain_table import GainSchedule
 from hiersched.control.krasovskii import analyse_krasovskii
-from hiersched.control.plant import DelayedPlant
 
 logger = logging.getLogger(__name__)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.robot.dynamics import STATE
+from hiersched.models.plant.unicycle import STATE
 from hiersched.simulator import Simulator
 
 FEATURE_VERSION = 1

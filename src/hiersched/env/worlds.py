@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.randomness import world_key
+from hiersched.core.randomness import world_key
 
 
 class EpisodeWorlds:

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import smooth_l1_loss
 
+from hiersched.learning.algorithm import Losses, Outcome, exploration_spread, seeded_normals
 from hiersched.learning.networks import initial_stack, learner_network
 from hiersched.learning.rewards import observe_multipliers, priced_rewards
 from hiersched.learning.stack import StackedAdam
-from hiersched.learning.step import Losses, Outcome, exploration_spread, seeded_normals
 from hiersched.scenario.schema import Scenario
 
 _LEAST_SPREAD = 1e-6

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import smooth_l1_loss
 
+from hiersched.learning.algorithm import Losses
+from hiersched.learning.divisible_prbs import RELAXATIONS
 from hiersched.learning.networks import initial_stack, learner_network
-from hiersched.learning.relaxation import RELAXATIONS
-from hiersched.learning.replay import Transitions
+from hiersched.learning.replay_buffer import Transitions
 from hiersched.learning.rewards import observe_multipliers, priced_rewards
 from hiersched.learning.stack import StackedAdam
-from hiersched.learning.step import Losses
 from hiersched.scenario.schema import Scenario
 
 

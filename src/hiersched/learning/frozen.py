@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from hiersched.learning.algorithm import Losses, Outcome, exploration_spread, seeded_normals
 from hiersched.learning.networks import initial_stack, learner_network
-from hiersched.learning.step import Losses, Outcome, exploration_spread, seeded_normals
 from hiersched.scenario.schema import Scenario
 
 

@@ -14,9 +14,9 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
+from hiersched.core.randomness import world_key
 from hiersched.env.features import NEED_SCALE, num_features
 from hiersched.learning.stack import Layers
-from hiersched.randomness import world_key
 from hiersched.scenario.schema import Learning, Users
 
 NUM_AGENTS = 2

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.learning.step import Losses
+from hiersched.learning.algorithm import Losses
 from hiersched.simulator import SlotRecord
 
 

@@ -12,8 +12,10 @@ import torch
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from hiersched.core.randomness import world_key, world_keys
 from hiersched.env.core import SlotLoop
 from hiersched.learning.a2c import A2c
+from hiersched.learning.algorithm import Algorithm, Outcome
 from hiersched.learning.checkpoint import load_checkpoint, save_checkpoint
 from hiersched.learning.frozen import Frozen
 from hiersched.learning.multiplier import Multiplier, episode_constraint, step_multiplier
@@ -21,8 +23,6 @@ from hiersched.learning.off_policy import Ddpg
 from hiersched.learning.policy import Policy, copy_slot, single_thread
 from hiersched.learning.progress import ProgressFile, RoundSums
 from hiersched.learning.rewards import user_rewards
-from hiersched.learning.step import Algorithm, Outcome
-from hiersched.randomness import world_key, world_keys
 from hiersched.scenario import Scenario, scenario_sha256
 from hiersched.scenario.schema import checkpoint_rounds
 from hiersched.simulator import Gains, SlotRecord

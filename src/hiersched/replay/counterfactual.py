@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.log import LogError
-from hiersched.network.schedulers import CLASSICAL
+from hiersched.policies.rules import CLASSICAL
 from hiersched.runs.logged import LoggedRun
 from hiersched.runs.logging import RunLabel, log_block, open_log
 from hiersched.runs.policies import seed_worlds

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.log import TOPICS, LogReader
-from hiersched.network.schedulers import CLASSICAL
+from hiersched.policies.rules import CLASSICAL
 from hiersched.runs.events import slot_events
 from hiersched.runs.gain_study import delays_of_run
 from hiersched.runs.logged import Batch, LoggedRun

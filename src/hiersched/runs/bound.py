@@ -12,17 +12,17 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from hiersched.allocation.exact import exact_allocation, lagrangian, owned_rates
+from hiersched.allocation.objective import UserTerms
 from hiersched.log import LogError
-from hiersched.network.exact import exact_allocation, lagrangian, owned_rates
-from hiersched.network.lyapunov import UserTerms
-from hiersched.network.schedulers import (
+from hiersched.models.channel.link_budget import prb_rates
+from hiersched.policies.rules import (
     CLASSICAL,
     DRIFT_PLUS_PENALTY,
     SchedulerScratch,
     schedule_slot,
     scheduler_scratch,
 )
-from hiersched.radio.channel import prb_rates
 from hiersched.runs import paths
 from hiersched.runs.exact import slot_terms
 from hiersched.runs.gains import load_gains

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.network.exact import exact_allocation
-from hiersched.network.lyapunov import UserTerms
+from hiersched.allocation.exact import exact_allocation
+from hiersched.allocation.objective import UserTerms
 from hiersched.runs.policies import WorldRun, seed_worlds
 from hiersched.scenario import Scenario
 from hiersched.simulator import Gains, Simulator, SlotConstants

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.randomness import STREAM_DELAY, draw_uniforms
+from hiersched.core.randomness import STREAM_DELAY, draw_uniforms
 from hiersched.runs import paths
 from hiersched.runs.gain_points import gain_points
 from hiersched.runs.gains import load_gains

@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from hiersched.control import GainSchedule, load_or_build
-from hiersched.control.schedule import design_key
+from hiersched.control.gain_schedule import design_key
 from hiersched.runs.variants import gain_designs
 from hiersched.scenario import Scenario
-from hiersched.simulator.gains import LoopGains, loop_gains, plant_of
+from hiersched.simulator.loop_gains import LoopGains, loop_gains, plant_of
 
 
 def design_gains(scenario: Scenario, design: str, path: Path) -> GainSchedule:

@@ -1,14 +1,14 @@
-"""Compiles the slot loop ahead of the jobs; `hiersched.compiled` keeps the machine code."""
+"""Compiles the slot loop ahead of the jobs; `hiersched.core.compiled` keeps the machine code."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from hiersched.randomness import world_keys
+from hiersched.core.randomness import world_keys
 from hiersched.runs.gain_study import forced_delays
 from hiersched.scenario import load_scenario
 from hiersched.simulator import Simulator
-from hiersched.simulator.gains import LoopGains
+from hiersched.simulator.loop_gains import LoopGains
 
 
 def compile_kernels() -> None:

@@ -13,12 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.control import GainSchedule
+from hiersched.core.randomness import world_key, world_keys
 from hiersched.log import TOPICS, LogError, LogReader
-from hiersched.randomness import world_key, world_keys
 from hiersched.runs.logging import logged_fields
 from hiersched.scenario import Scenario, ScenarioError, load_resolved
 from hiersched.simulator import Gains, Simulator
-from hiersched.simulator.gains import loop_gains
+from hiersched.simulator.loop_gains import loop_gains
 
 STAGES = ("train", "checkpoint", "evaluate", "sweep", "generalise", "gain_study")
 _BATCH_SLOTS = 8192  # what is computed at once: memory for a few dozen megabytes of records

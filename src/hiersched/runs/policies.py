@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.randomness import world_key
+from hiersched.core.randomness import world_key
 from hiersched.scenario import Scenario
 from hiersched.scenario.schema import Worlds
 from hiersched.simulator import Gains, Simulator

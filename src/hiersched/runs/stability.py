@@ -28,7 +28,7 @@ from hiersched.runs.gains import load_gains
 from hiersched.runs.variants import design_of, weighted_scenario
 from hiersched.scenario import Scenario
 from hiersched.scenario.schema import delay_steps
-from hiersched.simulator.gains import plant_of
+from hiersched.simulator.loop_gains import plant_of
 
 PLANTS: tuple[Literal["network", "split"], ...] = ("network", "split")
 STABILITY_RATE = 1e-3

@@ -16,8 +16,8 @@ LEAST_SNR_DB = -80.0
 """Below it, a PRB in a deep fade could carry exactly 0 bit/s, and no logarithm of a rate exists."""
 GREATEST_SNR_DB = 300.0
 MAX_MEAN_BATCHES = 600.0
-"""The Poisson quantile's limit (`network.traffic.MAX_MEAN`; a test holds them equal), without the
-half second that importing the kernels takes."""
+"""Limit of the Poisson quantile (`models.traffic.poisson.MAX_MEAN`; a test holds them equal), here
+without the half second that importing the kernels takes."""
 MAX_DELAY_STEPS = 200
 NETWORK_METHODS = ("predictor", "latency_compensated", "h2")
 """Gain methods for plants whose whole feedback crosses the network."""

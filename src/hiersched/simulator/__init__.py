@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.network.schedulers import CLASSICAL
+from hiersched.policies.rules import CLASSICAL
 from hiersched.scenario.schema import Scenario
-from hiersched.simulator.kernel import GIVEN, draw_channels, run_robots, run_slots
-from hiersched.simulator.records import SlotLayout, SlotRecord
+from hiersched.simulator.loop import GIVEN, draw_channels, run_robots, run_slots
+from hiersched.simulator.record import SlotLayout, SlotRecord
 from hiersched.simulator.robot_setup import Gains
 from hiersched.simulator.setup import (
     SlotConstants,

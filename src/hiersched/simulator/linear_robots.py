@@ -1,14 +1,14 @@
-"""The robots' part of a slot where they are linear plants; unicycles are in `simulator.kernel`."""
+"""The robots' part of a slot where they are linear plants; unicycles are in `simulator.loop`."""
 
 from __future__ import annotations
 
 import math
 
-from hiersched.compiled import kernel
-from hiersched.robot.dexterity import window_index
-from hiersched.robot.dynamics import RobotConstants, hold_entry
-from hiersched.robot.linear import LinearConstants, sample_linear, square_error
-from hiersched.simulator.records import SlotFields
+from hiersched.core.compiled import kernel
+from hiersched.models.plant.dexterity import window_index
+from hiersched.models.plant.linear import LinearConstants, sample_linear, square_error
+from hiersched.models.plant.unicycle import RobotConstants, hold_entry
+from hiersched.simulator.record import SlotFields
 from hiersched.simulator.setup import SlotState
 
 

@@ -8,15 +8,20 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.robot.dynamics import RobotConstants
-from hiersched.robot.linear import LinearConstants
-from hiersched.robot.reference import PathShape, ReferenceTable, driven_table, reference_table
+from hiersched.models.plant.linear import LinearConstants
+from hiersched.models.plant.reference import (
+    PathShape,
+    ReferenceTable,
+    driven_table,
+    reference_table,
+)
+from hiersched.models.plant.unicycle import RobotConstants
 from hiersched.scenario.reference_file import arc_lengths, turns
 from hiersched.scenario.schema import Robot, Scenario
 
 
 class Gains(Protocol):
-    """What the slot loop needs of a schedule: tables for T = 0 … T_max (`simulator.gains`)."""
+    """What the slot loop needs of a schedule: tables for T = 0 … T_max (`simulator.loop_gains`)."""
 
     @property
     def local_gains(self) -> NDArray[np.float64]:

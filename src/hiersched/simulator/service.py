@@ -6,14 +6,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hiersched.compiled import kernel
-from hiersched.network.lyapunov import (
+from hiersched.allocation.objective import (
     delay_surrogate,
     mean_arrivals,
     offered_service,
     rate_penalty,
 )
-from hiersched.network.queues import (
+from hiersched.core.compiled import kernel
+from hiersched.models.queue.fifo import (
     AFTER,
     ARRIVALS,
     BACKLOG,
@@ -25,10 +25,10 @@ from hiersched.network.queues import (
     SOJOURN,
     serve_users,
 )
-from hiersched.network.traffic import MEAN, QUANTILE, UNIFORM, poisson_quantiles
-from hiersched.simulator.records import SlotFields
+from hiersched.models.traffic.poisson import MEAN, QUANTILE, UNIFORM, poisson_quantiles
+from hiersched.simulator.record import SlotFields
 from hiersched.simulator.setup import SlotConstants, SlotScratch, SlotState
-from hiersched.simulator.users import (
+from hiersched.simulator.user_lanes import (
     AVERAGE,
     CLAMPED,
     DELAY,

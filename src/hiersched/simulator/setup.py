@@ -9,24 +9,24 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.network.lyapunov import UserTerms
-from hiersched.network.queues import LANES, NUM_QUEUE_LANES, set_deadline
-from hiersched.network.schedulers import (
+from hiersched.allocation.objective import UserTerms
+from hiersched.core.randomness import NormalScratch, normal_scratch
+from hiersched.models.channel.link_budget import large_scale_gain, snr_per_fading_power
+from hiersched.models.plant.linear import LinearConstants, LinearState, linear_state
+from hiersched.models.plant.unicycle import RobotConstants, RobotState, path_scratch, robot_state
+from hiersched.models.queue.fifo import LANES, NUM_QUEUE_LANES, set_deadline
+from hiersched.models.traffic.poisson import MAX_MEAN, NUM_ARRIVAL_LANES
+from hiersched.policies.rules import (
     CAPPED,
     SchedulerConstants,
     SchedulerScratch,
     need_codes,
     scheduler_scratch,
 )
-from hiersched.network.traffic import MAX_MEAN, NUM_ARRIVAL_LANES
-from hiersched.radio.channel import large_scale_gain, snr_per_fading_power
-from hiersched.randomness import NormalScratch, normal_scratch
-from hiersched.robot.dynamics import RobotConstants, RobotState, path_scratch, robot_state
-from hiersched.robot.linear import LinearConstants, LinearState, linear_state
 from hiersched.scenario.schema import Scenario
-from hiersched.simulator.records import SlotFields, SlotLayout
+from hiersched.simulator.record import SlotFields, SlotLayout
 from hiersched.simulator.robot_setup import Gains, linear_constants, robot_constants
-from hiersched.simulator.users import (
+from hiersched.simulator.user_lanes import (
     MEAN_DUE,
     NUM_USER_LANES,
     OFFERED,

@@ -13,9 +13,7 @@ from numpy.typing import NDArray
 
 from hiersched.scenario import Scenario
 from hiersched.study.collect import BASELINE
-from hiersched.study.conditions import Frames, Noisy, by_coefficient, evaluated, swept, trained
-from hiersched.study.intervals import resolution
-from hiersched.study.measured import (
+from hiersched.study.effects import (
     PAIRED,
     change_in_training,
     difference,
@@ -29,6 +27,8 @@ from hiersched.study.measured import (
     steps,
     tenths_of_dexterity,
 )
+from hiersched.study.intervals import resolution
+from hiersched.study.sensitivities import Frames, Noisy, by_coefficient, evaluated, swept, trained
 from hiersched.study.verdicts import (
     Claim,
     Condition,

@@ -17,8 +17,8 @@ from hiersched.study.collect import (
     runs_frame,
     training_frames,
 )
-from hiersched.study.conditions import Frames
 from hiersched.study.files import write_bytes
+from hiersched.study.sensitivities import Frames
 from hiersched.study.statistics import LEVEL
 from hiersched.study.tables import interval_text
 from hiersched.study.verdicts import RULE, Claim, Condition, Statement

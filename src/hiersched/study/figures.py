@@ -17,6 +17,15 @@ from hiersched.study.collect import (
     sweep_frame,
     training_frames,
 )
+from hiersched.study.comparison import bound_frame, bound_table, generalisation_table
+from hiersched.study.distributions import delay_tails, rate_distributions
+from hiersched.study.figures_comparison import (
+    draw_bound,
+    draw_delay,
+    draw_generalise,
+    draw_load,
+    draw_pareto,
+)
 from hiersched.study.figures_delay import draw_violations
 from hiersched.study.figures_gain import draw_gain
 from hiersched.study.figures_gain_grid import draw_gain_grid
@@ -32,18 +41,9 @@ from hiersched.study.figures_rates import (
     draw_rayleigh,
     draw_sampling,
 )
-from hiersched.study.figures_standing import (
-    draw_bound,
-    draw_delay,
-    draw_generalise,
-    draw_load,
-    draw_pareto,
-)
 from hiersched.study.figures_training import draw_queues, draw_rewards
 from hiersched.study.gain_logs import stability_frame, trace_frame
 from hiersched.study.gain_summary import grid_table, sweeps_table
-from hiersched.study.samples import delay_tails, rate_distributions
-from hiersched.study.standing import bound_frame, bound_table, generalisation_table
 from hiersched.study.style import house_style, save_figure
 from hiersched.study.summary import gain_table, policy_table, sweep_table
 

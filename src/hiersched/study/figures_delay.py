@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from hiersched.scenario import Scenario
 from hiersched.study.collect import BASELINE
-from hiersched.study.samples import tail_policies
+from hiersched.study.distributions import tail_policies
 from hiersched.study.style import (
     GREY,
     PANEL_HEIGHT_IN,

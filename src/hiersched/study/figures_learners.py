@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 
 from hiersched.scenario import Scenario
 from hiersched.study.collect import BASELINE
-from hiersched.study.conditions import controls, learners
-from hiersched.study.figures_standing import LOAD_BOUNDS, LOAD_PANELS, spans_decades
+from hiersched.study.figures_comparison import LOAD_BOUNDS, LOAD_PANELS, spans_decades
 from hiersched.study.figures_training import checkpoint_curve, training_curve
+from hiersched.study.sensitivities import controls, learners
 from hiersched.study.style import (
     CONTROL,
     GREY,

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from hiersched.scenario import Scenario
-from hiersched.study.conditions import control_of
+from hiersched.study.sensitivities import control_of
 from hiersched.study.statistics import mean_interval
 from hiersched.study.style import CONTROL, SLICES, caption, new_figure, shared_legend
 

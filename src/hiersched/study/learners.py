@@ -8,8 +8,8 @@ from typing import Any
 import pandas as pd
 
 from hiersched.scenario import Scenario
+from hiersched.study.comparison import CELL_MEASURES
 from hiersched.study.intervals import SYMMETRIC, measure_interval, resolution
-from hiersched.study.standing import CELL_MEASURES
 from hiersched.study.statistics import interval_columns, paired_difference, paired_log_ratio
 
 

@@ -19,6 +19,12 @@ from hiersched.study.collect import (
     gain_schedules,
     sweep_frame,
 )
+from hiersched.study.comparison import (
+    bound_frame,
+    bound_table,
+    generalisation_table,
+    score_table,
+)
 from hiersched.study.files import csv_text, write_bytes
 from hiersched.study.gain_summary import (
     grid_table,
@@ -29,12 +35,6 @@ from hiersched.study.gain_summary import (
 from hiersched.study.intervals import INTERVAL_NOTE
 from hiersched.study.learners import differing_keys, learner_table
 from hiersched.study.paper import SYMBOLS
-from hiersched.study.standing import (
-    bound_frame,
-    bound_table,
-    generalisation_table,
-    score_table,
-)
 from hiersched.study.summary import (
     comparison_table,
     gain_table,

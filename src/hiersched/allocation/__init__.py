@@ -1,0 +1,1 @@
+"""Who gets which resource block, and the objective of a slot."""

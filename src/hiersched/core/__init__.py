@@ -1,0 +1,1 @@
+"""Numbers, randomness, compiled kernels and how models meet them: what everything stands on."""

@@ -1,0 +1,182 @@
+"""Counter-based streams: what no policy can influence depends on (world, stream, slot, user).
+
+Two policies that run in the same world meet the same fading, arrival uniforms, slip and noise,
+whatever they decide, and any slot can be drawn again on its own. The generator is Philox 4x32-10
+(Salmon et al., SC 2011), whose published test vectors the tests hold.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, uint32, uint64
+from numpy.typing import NDArray
+
+from hiersched.core.compiled import kernel
+from hiersched.core.numerics import F32, ln_f32, sincos_turn_f32
+
+STREAM_FADING = np.uint32(0)
+STREAM_ARRIVAL = np.uint32(1)
+STREAM_ROBOT = np.uint32(2)
+STREAM_POSITION = np.uint32(3)
+STREAM_DELAY = np.uint32(4)
+
+_M0 = np.uint64(0xD2511F53)
+_M1 = np.uint64(0xCD9E8D57)
+_W0 = np.uint32(0x9E3779B9)
+_W1 = np.uint32(0xBB67AE85)
+_S32 = np.uint64(32)
+_VECTOR = 16
+
+
+def world_key(purpose: str, seed: int, index: int = 0) -> int:
+    """64-bit key of a world: worlds of different purposes, seeds or indices are independent.
+
+    Parameters
+    ----------
+    purpose
+        What the world is for, such as ``"train"`` or ``"evaluate"``.
+    seed
+        Seed of the run.
+    index
+        Environment within the run.
+    """
+    digest = hashlib.blake2b(f"{purpose}/{seed}/{index}".encode(), digest_size=8).digest()
+    return int.from_bytes(digest, "little")
+
+
+def world_keys(purpose: str, seed: int, count: int) -> NDArray[np.uint64]:
+    """Keys of the worlds 0 … count-1 of a run, shape (count,)."""
+    return np.array([world_key(purpose, seed, index) for index in range(count)], dtype=np.uint64)
+
+
+@njit(inline="always")
+def philox4x32(
+    c0: np.uint32, c1: np.uint32, c2: np.uint32, c3: np.uint32, k0: np.uint32, k1: np.uint32
+) -> tuple[np.uint32, np.uint32, np.uint32, np.uint32]:
+    """Four random 32-bit words of a 128-bit counter and a 64-bit key (ten rounds)."""
+    for _ in range(10):
+        p0 = _M0 * uint64(c0)
+        p1 = _M1 * uint64(c2)
+        c0, c1, c2, c3 = (
+            uint32(p1 >> _S32) ^ c1 ^ k0,
+            uint32(p1),
+            uint32(p0 >> _S32) ^ c3 ^ k1,
+            uint32(p0),
+        )
+        k0 = uint32(k0 + _W0)
+        k1 = uint32(k1 + _W1)
+    return c0, c1, c2, c3
+
+
+@njit(inline="always")
+def unit_f32(word: np.uint32) -> np.float32:
+    """Uniform float32 strictly between 0 and 1 from one word (23 bits, exact)."""
+    return (F32(np.int32(word >> np.uint32(9))) + F32(0.5)) * F32(2.0**-23)
+
+
+@njit(inline="always")
+def unit_f64(high: np.uint32, low: np.uint32) -> float:
+    """Uniform double strictly between 0 and 1 from two words (52 bits, exact)."""
+    bits = (np.int64(high >> np.uint32(6)) << np.int64(26)) | np.int64(low >> np.uint32(6))
+    return (np.float64(bits) + 0.5) * 2.0**-52
+
+
+@kernel()
+def draw_uniforms(
+    key: np.uint64, stream: np.uint32, slot: int, lane: int, out: NDArray[np.float64]
+) -> None:
+    """Fill `out` (n,) with uniforms of (world, stream, slot, lane): element i is user i's."""
+    k0 = uint32(key)
+    k1 = uint32(key >> _S32)
+    for i in range(out.shape[0]):
+        a, b, _, _ = philox4x32(uint32(lane), uint32(i), uint32(slot), stream, k0, k1)
+        out[i] = unit_f64(a, b)
+
+
+@kernel()
+def draw_exponentials(
+    key: np.uint64,
+    slot: int,
+    scale: np.float32,
+    words: NDArray[np.uint32],
+    out: NDArray[np.float32],
+) -> None:
+    """Fill `out` (N,) with scale-times-unit exponentials of the fading stream.
+
+    One Philox block serves four elements: word `lane` of block `i` belongs to element lane*B + i,
+    with B = ceil(N/4) blocks. `words` (4, B) is scratch: one array, so that the compiler sees that
+    the lanes do not overlap.
+    """
+    k0 = uint32(key)
+    k1 = uint32(key >> _S32)
+    blocks = words.shape[1]
+    for i in range(blocks):
+        a, b, c, d = philox4x32(uint32(i), uint32(0), uint32(slot), STREAM_FADING, k0, k1)
+        words[0, i] = a
+        words[1, i] = b
+        words[2, i] = c
+        words[3, i] = d
+    flat = words.reshape(-1)
+    for i in range(out.shape[0]):
+        out[i] = -ln_f32(unit_f32(flat[i])) * scale
+
+
+class NormalScratch(NamedTuple):
+    """Work arrays of `draw_normals`, padded to whole vectors."""
+
+    words: NDArray[np.uint32]
+    flat: NDArray[np.uint32]
+    normals: NDArray[np.float32]
+
+
+def normal_scratch(num_robots: int) -> NormalScratch:
+    """Work arrays for the normals of `num_robots` robots."""
+    blocks = -(-6 * num_robots // 4)
+    half = -(-3 * num_robots // _VECTOR) * _VECTOR
+    return NormalScratch(
+        words=np.zeros((4, -(-blocks // _VECTOR) * _VECTOR), np.uint32),
+        flat=np.zeros(4 * blocks + half, np.uint32),
+        normals=np.zeros((3, half), np.float32),
+    )
+
+
+@kernel()
+def draw_normals(
+    key: np.uint64, slot: int, scratch: NormalScratch, out: NDArray[np.float32]
+) -> None:
+    """Fill `out` (R, 5) with standard normals of the robot stream (Box-Muller in float32).
+
+    Normal j of robot r is element j*R + r of 6 R normals; elements i and 3 R + i come from words i
+    and 3 R + i, word `lane` of block b being number lane*B + b of B = ceil(6 R / 4) blocks. The
+    loops are short, so that each becomes vector instructions, and run over whole vectors: what lies
+    beyond is not used.
+    """
+    k0 = uint32(key)
+    k1 = uint32(key >> _S32)
+    num_robots = out.shape[0]
+    words = scratch.words
+    flat = scratch.flat
+    normals = scratch.normals
+    for i in range(words.shape[1]):
+        a, b, c, d = philox4x32(uint32(i), uint32(0), uint32(slot), STREAM_ROBOT, k0, k1)
+        words[0, i] = a
+        words[1, i] = b
+        words[2, i] = c
+        words[3, i] = d
+    blocks = (6 * num_robots + 3) // 4
+    for lane in range(4):
+        for i in range(blocks):
+            flat[lane * blocks + i] = words[lane, i]
+    half = 3 * num_robots
+    for i in range(normals.shape[1]):
+        normals[0, i] = np.sqrt(F32(-2.0) * ln_f32(unit_f32(flat[i])))
+    for i in range(normals.shape[1]):
+        sine, cosine = sincos_turn_f32(unit_f32(flat[half + i]))
+        normals[1, i] = normals[0, i] * cosine
+        normals[2, i] = normals[0, i] * sine
+    for robot in range(num_robots):
+        for j in range(5):
+            out[robot, j] = normals[1 + j // 3, j % 3 * num_robots + robot]

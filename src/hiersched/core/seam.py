@@ -1,0 +1,203 @@
+"""Seams: the slot loop calls the kernel of a model by its address and never sees the model's types.
+
+A model is compiled alone and cached beside its own file; no cached kernel of the loop mentions it.
+All kernels have one form::
+
+    kernel(me, constants, state, slot, env)
+
+`me` is what the model itself is made of: parameters, what evolves, work arrays. The other three
+are those of the loop (`simulator.setup`, `simulator.record`). A further quantity is a further field
+there, and changes no kernel's form.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import sys
+import sysconfig
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+from numba import types
+from numba.extending import intrinsic
+
+from hiersched.core.compiled import PACKAGE, inner_kernel
+from hiersched.core.pointer import Pointer
+
+FORM = ("me", "constants", "state", "slot", "env")
+"""Parameters of a model's kernel."""
+
+
+class Plug(NamedTuple):
+    """A model in a seam: addresses of its kernel and of its words; kernel 0 is an unused seam."""
+
+    kernel: int
+    words: int
+
+
+UNUSED = Plug(0, 0)
+
+
+class Seam:
+    """A place of the slot loop that a model fills.
+
+    Parameters
+    ----------
+    name
+        For messages.
+    reads, writes
+        What a kernel here finds, and what it has to write; for the documentation.
+    """
+
+    def __init__(self, name: str, *, reads: str, writes: str) -> None:
+        self.name, self.reads, self.writes = name, reads, writes
+        self._kernels: dict[type, Any] = {}
+
+    def kernel(self, words: type) -> Callable[[Callable[..., Any]], Any]:
+        """Register the decorated function as the kernel of a NamedTuple class.
+
+        Raises
+        ------
+        TypeError
+            If the function does not have the form of a kernel.
+        """
+
+        def register(function: Callable[..., Any]) -> Any:
+            given = tuple(inspect.signature(function).parameters)
+            if given != FORM:
+                raise TypeError(
+                    f"{function.__qualname__}({', '.join(given)}): a kernel of the seam "
+                    f"{self.name} must be {function.__qualname__}({', '.join(FORM)})"
+                )
+            self._kernels[words] = inner_kernel()(function)
+            return self._kernels[words]
+
+        return register
+
+    def fits(self, words: Any) -> bool:
+        """Whether there is a kernel for this NamedTuple."""
+        return type(words) in self._kernels
+
+    def plug(self, words: Any, *arguments: Pointer) -> tuple[Plug, Pointer]:
+        """Compile the kernel of a model, or load it; the pointer has to be kept.
+
+        Parameters
+        ----------
+        words
+            The NamedTuple of the model.
+        arguments
+            Pointers to constants, state and slot.
+
+        Raises
+        ------
+        TypeError
+            If the seam has no kernel for this NamedTuple.
+        """
+        if not self.fits(words):
+            raise TypeError(f"{type(words).__name__} has no kernel for the seam {self.name}")
+        function = self._kernels[type(words)]
+        me = Pointer(words, _outside_sources(function.py_func))
+        kinds = (me.kind, *(argument.kind for argument in arguments), types.int64)
+        return Plug(address_of(function, kinds), me.address), me
+
+
+@intrinsic  # type: ignore[misc]
+def call_plug(
+    typing_context: Any, plug: Any, constants: Any, state: Any, slot: Any, env: Any
+) -> Any:
+    """Call the kernel in a plug: call_plug(plug, constants, state, slot, env)."""
+    inner = (types.int64, constants, state, slot, types.int64)
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        address = builder.extract_value(values[0], 0)
+        words = builder.extract_value(values[0], 1)
+        number = context.cast(builder, values[4], signature.args[4], types.int64)
+        _call(context, builder, address, inner, (words, *values[1:4], number))
+        return context.get_dummy_value()
+
+    return types.none(plug, constants, state, slot, env), generate
+
+
+@intrinsic  # type: ignore[misc]
+def call_at(typing_context: Any, address: Any, *arguments: Any) -> Any:
+    """Call the kernel at an address that was compiled for just these types."""
+    inner = tuple(types.unliteral(argument) for argument in arguments)
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        given = signature.args[1]  # *arguments come as one tuple
+        parts = [
+            context.cast(builder, builder.extract_value(values[1], i), given.types[i], kind)
+            for i, kind in enumerate(inner)
+        ]
+        _call(context, builder, values[0], inner, parts)
+        return context.get_dummy_value()
+
+    return types.none(address, types.Tuple(arguments)), generate
+
+
+def _call(context: Any, builder: Any, address: Any, inner: Any, values: Any) -> None:
+    """Call a function of Numba's convention; an error in it is an error of the caller."""
+    kind = context.call_conv.get_function_type(types.none, inner)
+    pointer = builder.inttoptr(address, kind.as_pointer())
+    status, _ = context.call_conv.call_function(builder, pointer, types.none, inner, values)
+    with builder.if_then(status.is_error, likely=False):
+        context.call_conv.return_status_propagate(builder, status)
+
+
+def address_of(function: Any, kinds: tuple[types.Type, ...]) -> int:
+    """Compile a kernel for argument types, or load it, and say where it lies."""
+    function.compile(kinds)
+    result = function.overloads[kinds]
+    return int(result.library.get_pointer_to_function(result.fndesc.llvm_func_name))
+
+
+def _outside_sources(function: Callable[..., Any]) -> str:
+    """Hash of a kernel's module and of all that it imports, where that is not ours; else "".
+
+    Numba looks at the file of a kernel alone: what the kernel calls from another file of a plug-in
+    has to be part of its type, so that a change there compiles it anew.
+    """
+    module = sys.modules[function.__module__]
+    files = sorted(outside_files(module))
+    if not files:
+        return ""
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(Path(file).read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def outside_files(module: ModuleType) -> set[str]:
+    """Python files of a module and of all that it uses, but for installed packages and ours."""
+    found: set[str] = set()
+    waiting = [module]
+    while waiting:
+        file = getattr(waiting[-1], "__file__", None)
+        values = vars(waiting.pop()).values()
+        if file is None or file in found or not _is_outside(Path(file).resolve()):
+            continue
+        found.add(file)
+        for value in values:
+            name = value.__name__ if isinstance(value, ModuleType) else _module_of(value)
+            if name in sys.modules:
+                waiting.append(sys.modules[name])
+    return found
+
+
+def _module_of(value: Any) -> str:
+    name = getattr(getattr(value, "py_func", value), "__module__", None)
+    return name if isinstance(name, str) else ""
+
+
+_INSTALLED = tuple(
+    Path(sysconfig.get_path(name)).resolve()
+    for name in ("stdlib", "platstdlib", "purelib", "platlib")
+)
+
+
+def _is_outside(file: Path) -> bool:
+    """Whether a file is neither installed nor of this package."""
+    return not any(file.is_relative_to(folder) for folder in (PACKAGE, *_INSTALLED))

@@ -1,0 +1,1 @@
+"""The models of channel, link, traffic, queue and plant: one file each."""

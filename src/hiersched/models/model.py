@@ -1,0 +1,154 @@
+"""What a model is: parameters from a scenario, words for its kernel, faults that it can name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar, get_args, get_type_hints
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ConfigDict
+
+from hiersched.core.registry import PluginError, Registry
+
+if TYPE_CHECKING:
+    from hiersched.control import DelayedPlant
+    from hiersched.scenario.schema import Scenario
+
+STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+"""Of every section of a scenario: no unknown key, no conversion, no infinity."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setup:
+    """For what a model makes its words: the run of a batch of worlds.
+
+    Attributes
+    ----------
+    scenario
+        The validated scenario.
+    num_envs
+        Worlds side by side, E.
+    num_slots
+        Slots of an episode, T.
+    """
+
+    scenario: Scenario
+    num_envs: int
+    num_slots: int
+
+
+class Belief(NamedTuple):
+    """What a base station expects of the arrivals, per user (U,), URLLC first.
+
+    Mean packets of a slot at the rate r: max(0, offered_mbps - rate_sensitivity r) times
+    packets_per_mbps. `mean_due_packets`: packets a slot at the offered load.
+    """
+
+    offered_mbps: NDArray[np.float64]
+    rate_sensitivity: NDArray[np.float64]
+    packets_per_mbps: NDArray[np.float64]
+    mean_due_packets: NDArray[np.float64]
+
+
+class Model:
+    """Base of all models: a frozen dataclass with `model: Literal["name"]` and its parameters.
+
+    Attributes
+    ----------
+    log_fields
+        What it adds to the log beside the fields that all runs have, name -> unit; one number a
+        user, or a robot for a plant. Its kernel writes them into its words of the same name.
+    """
+
+    log_fields: ClassVar[Mapping[str, str]] = {}
+
+    def faults(self, scenario: Scenario) -> list[str]:
+        """Say what does not fit the rest of the scenario, as ``key = value: what is allowed``."""
+        return []
+
+    def words(self, setup: Setup) -> Any:
+        """Return what the kernel gets as `me`: a NamedTuple of numbers and arrays."""
+        raise TypeError(f"{type(self).__name__} has no kernel")
+
+    def reset(self, words: Any, keys: NDArray[np.uint64]) -> None:
+        """Bring the words back to the start of an episode in the worlds `keys` (E,), in place."""
+
+
+class PathLoss(Model):
+    """What distance and obstacles take of the power."""
+
+    def gain(self, key: int, num_users: int) -> NDArray[np.float64]:
+        """Return the large-scale gains in the world `key`, linear, shape (num_users,)."""
+        raise NotImplementedError
+
+
+class Arrivals(Model):
+    """What is offered to the cell."""
+
+    def belief(self, scenario: Scenario) -> Belief:
+        """Return what the base station expects."""
+        raise NotImplementedError
+
+
+class Plant(Model):
+    """What the robots are."""
+
+    def sizes(self, scenario: Scenario) -> tuple[int, int, int]:
+        """Return n states, m inputs, and standard normals that a robot takes a slot."""
+        raise NotImplementedError
+
+    def design(self, scenario: Scenario) -> DelayedPlant:
+        """Return the linear plant for which the gains are designed."""
+        raise NotImplementedError
+
+
+M = TypeVar("M", bound=type[Model])
+
+
+class Section(Registry[type[Model]]):
+    """A place in a scenario that says which model it means, such as `radio.path_loss`.
+
+    Parameters
+    ----------
+    key
+        Dotted key of the place.
+    base
+        What a model here has to be.
+    """
+
+    def __init__(self, key: str, base: type[Model]) -> None:
+        super().__init__(f"{key}.model")
+        self.key, self.base = key, base
+
+    def model(self, cls: M) -> M:
+        """Register the decorated dataclass under the name in its `model: Literal["name"]`.
+
+        Raises
+        ------
+        PluginError
+            If it has no such field, or is no model of this kind.
+        """
+        names = get_args(get_type_hints(cls).get("model"))
+        if len(names) != 1 or not issubclass(cls, self.base):
+            raise PluginError(
+                f"{cls.__qualname__}: a model of {self.key} is a {self.base.__name__} with a field "
+                '`model: Literal["its_name"]`'
+            )
+        self.add(names[0], cls)
+        return cls
+
+
+PATH_LOSS = Section("radio.path_loss", PathLoss)
+FADING = Section("radio.fading", Model)
+REPORT = Section("radio.report", Model)
+LINK = Section("radio.link", Model)
+ARRIVALS = Section("traffic.arrivals", Arrivals)
+QUEUE = Section("traffic.queue", Model)
+PLANT = Section("plant", Plant)
+
+SECTIONS = {
+    section.key: section for section in (PATH_LOSS, FADING, REPORT, LINK, ARRIVALS, QUEUE, PLANT)
+}
+"""All places of a scenario that name a model, by dotted key."""

@@ -1,1 +1,0 @@
-"""Traffic, queues, allocation, schedulers and the Lyapunov terms."""

@@ -1,1 +1,0 @@
-"""Fading, path loss and the rate of a resource block."""

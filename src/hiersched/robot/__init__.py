@@ -1,1 +1,0 @@
-"""The robots: plant, references, motion and dexterity index."""

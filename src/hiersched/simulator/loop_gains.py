@@ -1,0 +1,94 @@
+"""From a scenario to its plant, and from a gain schedule to the gains of the loop."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hiersched.control import (
+    DelayedPlant,
+    GainSchedule,
+    network_plant,
+    split_plant,
+    tracking_weights,
+)
+from hiersched.models.plant.error_model import discretise, unicycle_error_model
+from hiersched.scenario.linear import linear_plant
+from hiersched.scenario.schema import Scenario
+
+POSE_STATES = (0, 1, 2)
+"""What the operator of a split plant feeds back: the pose that the video shows."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class LoopGains:
+    """Tables of u(k) = -local x(k) - network x(k-d) - sum_i input_i u(k-1-i), n states, m inputs.
+
+    Parameters
+    ----------
+    local_gains, network_gains
+        Gains on the present and on the delayed measurement, shape (T_max + 1, m, n) each.
+    input_gains
+        Gains on the past commands, the newest first, shape (T_max + 1, T_max, m, m).
+    adjusted
+        Whether an entry is another gain than the nominal one, shape (T_max + 1,).
+    """
+
+    local_gains: NDArray[np.float64]
+    network_gains: NDArray[np.float64]
+    input_gains: NDArray[np.float64]
+    adjusted: NDArray[np.bool_]
+
+    @classmethod
+    def memoryless(
+        cls, network_gains: NDArray[np.float64], local_gains: NDArray[np.float64] | None = None
+    ) -> LoopGains:
+        """Return gains without memory, nominal at T = 0: all over the network unless given."""
+        local = np.zeros_like(network_gains) if local_gains is None else local_gains
+        differs = (network_gains != network_gains[:1]) | (local != local[:1])
+        count, inputs = network_gains.shape[:2]
+        return cls(
+            local_gains=local,
+            network_gains=network_gains,
+            input_gains=np.zeros((count, count - 1, inputs, inputs)),
+            adjusted=differs.any(axis=(1, 2)),
+        )
+
+
+def plant_of(scenario: Scenario) -> DelayedPlant:
+    """Plant for which the gains are designed: that of the scenario, or a unicycle on a line."""
+    robot, control = scenario.robot, scenario.control
+    if control.plant == "linear":
+        return linear_plant(scenario)
+    A, B = discretise(
+        *unicycle_error_model(robot.speed_mps, 0.0, robot.actuator_lag_s), control.sampling_s
+    )
+    Q, R = tracking_weights(control.weight, control.sampling_s)
+    if control.plant == "network":
+        return network_plant(A, B, Q, R, sampling_s=control.sampling_s)
+    return split_plant(
+        A,
+        B,
+        Q,
+        R,
+        operator_share=control.operator_share,
+        operator_states=POSE_STATES,
+        sampling_s=control.sampling_s,
+    )
+
+
+def loop_gains(schedule: GainSchedule, gain: Literal["adjusted", "nominal"]) -> LoopGains:
+    """Tables of a schedule for the loop, or those of its nominal gain, whatever the delay."""
+    local, network = schedule.local_gains, schedule.network_gains
+    # A schedule's own array is read-only: another type, for which the slot loop would be compiled
+    # once more.
+    inputs = schedule.input_gains.copy()
+    differs = (schedule.gains != schedule.nominal).any(axis=(1, 2)) | inputs.any(axis=(1, 2, 3))
+    if gain == "nominal":
+        (network if schedule.kind == "network" else local)[:] = schedule.nominal
+        inputs[:] = 0.0
+        differs[:] = False
+    return LoopGains(local_gains=local, network_gains=network, input_gains=inputs, adjusted=differs)

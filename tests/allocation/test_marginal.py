@@ -1,0 +1,245 @@
+"""The allocator against scipy's assignment, a plain greedy twin and exhaustive search."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import linear_sum_assignment
+
+from hiersched.allocation.assignment import assign_one_each, assignment_scratch
+from hiersched.allocation.in_order import allocate_by_urgency, allocate_in_turn
+from hiersched.allocation.marginal import (
+    UTILITY_LAGRANGIAN,
+    UTILITY_LINEAR,
+    UTILITY_LOG,
+    allocate_by_utility,
+    allocation_scratch,
+)
+from hiersched.allocation.objective import user_lagrangian
+from hiersched.policies.rules import CLASSICAL
+
+SHAPES = [(1, 1), (1, 7), (2, 3), (5, 5), (8, 10), (20, 25), (25, 25), (80, 100), (3, 40)]
+SIZES = st.integers(1, 8).flatmap(lambda u: st.tuples(st.just(u), st.integers(u, 12)))
+
+
+def random_rates(seed, num_users, num_prb):
+    h2 = np.random.default_rng(seed).exponential(size=(num_users, num_prb))
+    return np.log2(1 + 100 * h2).astype(np.float32)
+
+
+def assignment_cost(cost):
+    num_users, num_prb = cost.shape
+    scratch = assignment_scratch(num_users, num_prb)
+    scratch.cost[:, :num_prb] = cost
+    scratch.nearest[:] = cost.argmin(axis=1)
+    assign_one_each(scratch)
+    prb_of_user = scratch.prb_of_user
+    assert len(set(prb_of_user.tolist())) == len(cost)
+    for k, user in enumerate(scratch.user_of_prb[:num_prb]):
+        assert (user == -1 and k not in prb_of_user) or prb_of_user[user] == k
+    return cost[np.arange(len(cost)), prb_of_user].sum()
+
+
+def reduced(cost):
+    return np.maximum(cost - cost.min(axis=1, keepdims=True), 0.0)
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("kind", ["continuous", "ties", "spread"])
+def test_assignment_has_scipys_value(shape, kind):
+    rng = np.random.default_rng(shape)
+    for _ in range(20):
+        cost = {
+            "continuous": lambda: rng.uniform(size=shape),
+            "ties": lambda: rng.integers(0, 4, shape).astype(float),
+            "spread": lambda: 10.0 ** rng.uniform(-9, 9, shape),
+        }[kind]()
+        cost = reduced(cost)
+        best = cost[linear_sum_assignment(cost)].sum()
+        assert assignment_cost(cost) == pytest.approx(best, rel=1e-9, abs=1e-12)
+
+
+def test_equal_costs_are_assigned():
+    assert assignment_cost(np.zeros((6, 9))) == 0.0
+
+
+def allocate(utility, rate, weight, terms):
+    owner = np.full(rate.shape[1], 10**6, np.uint32)
+    scratch = allocation_scratch(*rate.shape)
+    allocate_by_utility(utility, rate, weight, terms, scratch, owner)
+    return owner
+
+
+def greedy_twin(value, rate):
+    """The allocation in ten lines; value(user, rate) is a user's utility."""
+    num_users, num_prb = rate.shape
+    users = range(num_users)
+    alone = np.array([[value(u, float(r)) for r in rate[u]] for u in users])
+    owner = np.full(num_prb, -1)
+    first = linear_sum_assignment(-alone)
+    owner[first[1]] = first[0]
+    have = rate[first].astype(float)
+    while (owner < 0).any():
+        gain = {
+            (k, u): value(u, have[u] + float(rate[u, k])) - value(u, have[u])
+            for k in np.flatnonzero(owner < 0)
+            for u in users
+        }
+        k, u = max(gain, key=gain.__getitem__)
+        owner[k] = u
+        have[u] += float(rate[u, k])
+    return owner
+
+
+def test_prbs_that_harm_go_to_users_all_the_same(make_terms):
+    """With a negative V every PRB is a loss; lanes without a user must not look better."""
+    rate = random_rates(4, 5, 9)
+    terms = make_terms(5, penalty_weight=-1.0)
+    owner = allocate(UTILITY_LAGRANGIAN, rate, np.ones(5), terms)
+    expected = greedy_twin(lambda u, r: -user_lagrangian(terms, u, r), rate)
+    np.testing.assert_array_equal(owner, expected)
+
+
+@pytest.mark.parametrize("shape", [(1, 6), (3, 8), (8, 10), (12, 25)])
+@pytest.mark.parametrize("utility", [UTILITY_LOG, UTILITY_LINEAR, UTILITY_LAGRANGIAN])
+def test_greedy_part_is_that_of_the_plain_twin(shape, utility, make_terms):
+    for seed in range(10):
+        rng = np.random.default_rng([seed, *shape])
+        rate = random_rates(seed, *shape)
+        weight = np.exp(rng.uniform(-3, 3, shape[0]))
+        terms = make_terms(
+            shape[0],
+            backlog_packets=rng.uniform(0, 30, shape[0]),
+            offered_mbps=rng.uniform(1, 10, shape[0]),
+            rate_sensitivity=0.1,
+            penalty_weight=100.0,
+            multiplier=rng.uniform(0, 5, shape[0]),
+        )
+        value = {
+            UTILITY_LOG: lambda u, r, w=weight: w[u] * np.log(r),
+            UTILITY_LINEAR: lambda u, r, w=weight: w[u] * r,
+            UTILITY_LAGRANGIAN: lambda u, r, w=weight, t=terms: -w[u] * user_lagrangian(t, u, r),
+        }[utility]
+        np.testing.assert_array_equal(
+            allocate(utility, rate, weight, terms), greedy_twin(value, rate)
+        )
+
+
+def test_proportional_fairness_is_close_to_the_best_of_all_allocations(make_terms):
+    """Exhaustive search over 3 users and 6 PRBs: the greedy part loses little."""
+    losses = []
+    for seed in range(30):
+        rate = random_rates(seed, 3, 6)
+        everyone = [o for o in itertools.product(range(3), repeat=6) if len(set(o)) == 3]
+
+        def product(owner, rate=rate):
+            return np.prod([rate[u, np.array(owner) == u].sum() for u in range(3)])
+
+        got = product(tuple(allocate(UTILITY_LOG, rate, np.ones(3), make_terms(3))))
+        best = max(product(o) for o in everyone)
+        assert got <= best * (1 + 1e-6)
+        losses.append(1 - (got / best) ** (1 / 3))  # of the geometric mean rate
+    assert np.mean(losses) < 0.03
+    assert max(losses) < 0.1
+
+
+@pytest.mark.parametrize("name", sorted(CLASSICAL))
+@settings(max_examples=30)
+@given(size=SIZES, seed=st.integers(0, 1000), ties=st.booleans())
+def test_every_prb_has_one_owner_and_every_user_a_prb(schedule, name, size, seed, ties):
+    num_users, num_prb = size
+    rng = np.random.default_rng(seed)
+    rate = random_rates(seed, *size)
+    if ties:
+        rate = np.maximum(np.round(rate), np.float32(1))
+    owner = schedule(
+        name,
+        rate,
+        slot=seed,
+        weight=np.exp(rng.uniform(-3, 3, num_users)),
+        hol_delay_s=rng.choice([0.0, 0.01, 0.3], num_users),
+        average_rate_mbps=rng.uniform(1, 30, num_users),
+        num_urllc=(num_users + 1) // 2,
+        backlog_packets=rng.choice([0.0, 1.5, 80.0], num_users),
+        multiplier=rng.choice([0.0, 3.0], num_users),
+        penalty_weight=100.0,
+    )
+    assert set(owner) == set(range(num_users))
+    assert len(owner) == num_prb
+
+
+@pytest.mark.parametrize("name", sorted(set(CLASSICAL) - {"round_robin"}))
+@settings(max_examples=20)
+@given(size=SIZES, seed=st.integers(0, 1000))
+def test_permuting_users_permutes_the_result(schedule, name, size, seed):
+    """Within a slice: exp_pf treats the slices apart."""
+    num_users, _ = size
+    rng = np.random.default_rng(seed)
+    rate = random_rates(seed, *size)
+    order = rng.permutation(num_users)
+    given_values = {
+        "weight": np.exp(rng.uniform(-3, 3, num_users)),
+        "hol_delay_s": rng.uniform(0.001, 0.3, num_users),
+        "average_rate_mbps": rng.uniform(1, 30, num_users),
+        "deadline_s": rng.uniform(0.01, 0.5, num_users),
+        "backlog_packets": rng.uniform(1, 80.0, num_users),
+        "multiplier": rng.uniform(0, 3.0, num_users),
+    }
+    owner = np.array(schedule(name, rate, penalty_weight=100.0, **given_values))
+    permuted = {key: value[order] for key, value in given_values.items()}
+    again = np.array(schedule(name, rate[order], penalty_weight=100.0, **permuted))
+    np.testing.assert_array_equal(order[again], owner)
+
+
+@settings(max_examples=30)
+@given(size=SIZES, seed=st.integers(0, 1000))
+def test_equal_weights_are_plain_proportional_fairness(schedule, size, seed):
+    """An agent's action a = 0 gives the weight exp(c · 0) = 1; a common factor changes nothing."""
+    rate = random_rates(seed, *size)
+    assert schedule("pf", rate, weight=np.exp(3.0 * 0.0)) == schedule("pf", rate, weight=4.0)
+
+
+def test_need_is_met_in_the_order_of_urgency():
+    """Three users, five PRBs. Order of urgency: 2, 0, 1, with one PRB each first.
+
+    User 2 takes its best, PRB 0 (9); user 0 PRB 1 (8), user 1 PRB 3 (5). User 2 needs 12: PRB 4 (4)
+    brings 13. User 0 needs 20 and takes PRB 2 (1).
+    """
+    rate = np.array([[2, 8, 1, 3, 2], [1, 4, 3, 5, 1], [9, 7, 2, 3, 4]], np.float32)
+    owner = np.zeros(5, np.uint32)
+    scratch = allocation_scratch(3, 5)
+    need = np.array([20.0, 0.0, 12.0])
+    scratch.need[:] = need
+    allocate_by_urgency(rate, np.array([1.0, 0.0, 2.0]), scratch, owner)
+    assert owner.tolist() == [2, 0, 0, 1, 2]
+
+
+def test_what_nobody_needs_goes_around_in_the_same_order():
+    rate = np.array([[5, 4, 3, 2, 1], [1, 2, 3, 4, 5]], np.float32)
+    owner = np.zeros(5, np.uint32)
+    allocate_by_urgency(rate, np.array([0.0, 1.0]), allocation_scratch(2, 5), owner)
+    # User 1 first: PRB 4; user 0: PRB 0; then 1: PRB 3, 0: PRB 1, 1: PRB 2.
+    assert owner.tolist() == [0, 0, 1, 1, 1]
+
+
+def test_turns_go_on_where_the_last_slot_stopped():
+    owner = np.zeros(4, np.uint32)
+    rows = []
+    for slot in range(3):
+        allocate_in_turn(slot, 3, 4, owner)
+        rows.append(owner.tolist())
+    assert rows == [[0, 1, 2, 0], [1, 2, 0, 1], [2, 0, 1, 2]]
+
+
+@pytest.mark.parametrize(
+    ("shape", "message"),
+    [((4, 3), "num_users = 4: must be 1 to num_prb = 3"), ((0, 3), "num_users = 0"),
+     ((2, 1024), "num_prb = 1024: at most 1023")],
+)  # fmt: skip
+def test_impossible_sizes_are_refused(shape, message):
+    with pytest.raises(ValueError, match=message):
+        allocation_scratch(*shape)

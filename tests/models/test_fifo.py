@@ -1,0 +1,173 @@
+"""The queues: a packet-by-packet twin, conservation, closed forms."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from hiersched.core.compiled import kernel
+from hiersched.models.queue.fifo import (
+    AFTER,
+    ARRIVALS,
+    BACKLOG,
+    DUE,
+    HOL_DELAY,
+    LATE,
+    NUM_QUEUE_LANES,
+    SERVICE,
+    SOJOURN,
+    serve_users,
+    set_deadline,
+)
+
+# Quarters and eighths: exact in doubles, so that the twin's fractions must agree to the bit.
+COUNTS = st.integers(0, 6)
+SERVICES = st.integers(0, 40).map(lambda eighths: eighths / 8)
+SLOTS = st.lists(st.tuples(COUNTS, SERVICES), min_size=1, max_size=40)
+DEADLINES = st.integers(1, 24).map(lambda quarters: quarters / 4)
+
+
+def library(slots, deadline_slots):
+    """Run the library's queue; one (backlog, sojourn, hol, due, late) a slot."""
+    return library_users([slots], [deadline_slots])[0]
+
+
+def library_users(users, deadlines):
+    """The same for users side by side, who all have as many slots."""
+    count, num_slots = len(users), len(users[0])
+    arrived, head = np.zeros((num_slots + 1, count)), np.zeros(count, np.int64)
+    lanes = np.zeros(NUM_QUEUE_LANES)
+    for user, deadline_slots in enumerate(deadlines):
+        set_deadline(lanes, user, deadline_slots)
+    rows = [[] for _ in users]
+    for slot in range(num_slots):
+        for user, slots in enumerate(users):
+            lanes[ARRIVALS + user], lanes[SERVICE + user] = slots[slot]
+        serve_users(slot, count, lanes, arrived, head)
+        lanes[BACKLOG : BACKLOG + count] = lanes[AFTER : AFTER + count]
+        for user in range(count):
+            fields = (AFTER, SOJOURN, HOL_DELAY, DUE, LATE)
+            rows[user].append(tuple(lanes[field + user] for field in fields))
+    return rows
+
+
+def twin(slots, deadline_slots):
+    """The same, packet by packet, in fractions."""
+    packets = []  # [arrival slot, work left, completion time or None]
+    rows = []
+    for slot, (arrivals, service) in enumerate(slots):
+        packets += [[slot, Fraction(1), None] for _ in range(arrivals)]
+        budget, mu = Fraction(service), Fraction(service)
+        sojourn = None
+        for packet in packets:
+            if packet[2] is not None:
+                continue
+            work = min(packet[1], budget)
+            packet[1] -= work
+            budget -= work
+            if packet[1] > 0:
+                break
+            packet[2] = slot + (mu - budget) / mu
+            sojourn = packet[2] - packet[0]
+        waiting = [p for p in packets if p[2] is None]
+        hol = slot + 1 - waiting[0][0] if waiting else 0
+        due_at = [(p, p[0] + Fraction(deadline_slots)) for p in packets]
+        due = [(p, at) for p, at in due_at if slot < at <= slot + 1]
+        late = sum(p[2] is None or p[2] > at for p, at in due)
+        rows.append(
+            (sum(p[1] for p in waiting), hol if sojourn is None else sojourn, hol, len(due), late)
+        )
+    return rows
+
+
+@settings(max_examples=300)
+@given(SLOTS, DEADLINES)
+def test_queue_is_that_of_single_packets(slots, deadline_slots):
+    for got, expected in zip(
+        library(slots, deadline_slots), twin(slots, deadline_slots), strict=True
+    ):
+        backlog, sojourn, hol, due, late = got
+        assert (backlog, hol, due, late) == (expected[0], *expected[2:])
+        assert sojourn == pytest.approx(float(expected[1]), abs=1e-12)
+
+
+@given(SLOTS, DEADLINES)
+def test_backlog_follows_its_equation_and_packets_are_conserved(slots, deadline_slots):
+    backlog, delivered, due_total = 0.0, 0, 0
+    arrived = np.cumsum([arrivals for arrivals, _ in slots])
+    rows = library(slots, deadline_slots)
+    for slot, ((arrivals, service), (after, _, hol, due, late)) in enumerate(
+        zip(slots, rows, strict=True)
+    ):
+        assert after == max(0.0, backlog + arrivals - service)
+        done = arrived[slot] - math.ceil(after)
+        assert done >= delivered
+        assert (hol > 0) == (after > 0)
+        assert 0 <= late <= due
+        backlog, delivered = after, done
+        due_total += due
+    whole = math.ceil(deadline_slots)
+    assert due_total == (arrived[len(slots) - whole] if len(slots) >= whole else 0)
+
+
+def test_hand_computed_slots():
+    """Deadline 2 slots; two packets in slot 0, services 0.5, 0.5, 2.
+
+    Slot 0 finishes nothing. Slot 1 finishes the first packet at its very end: sojourn 2, in time;
+    the second is late then, and finishes half way through slot 2: sojourn 2.5.
+    """
+    rows = library([(2, 0.5), (0, 0.5), (0, 2.0)], 2.0)
+    assert rows[0] == (1.5, 1.0, 1.0, 0, 0)
+    assert rows[1] == (1.0, 2.0, 2.0, 2, 1)
+    assert rows[2] == (0.0, 2.5, 0.0, 0, 0)
+
+
+@given(st.lists(st.tuples(SLOTS, DEADLINES), min_size=2, max_size=5))
+def test_users_side_by_side_do_not_touch_each_other(users):
+    shortest = min(len(slots) for slots, _ in users)
+    cut = [slots[:shortest] for slots, _ in users]
+    deadlines = [deadline for _, deadline in users]
+    together = library_users(cut, deadlines)
+    assert together == [library(*user) for user in zip(cut, deadlines, strict=True)]
+
+
+@kernel()
+def long_run(arrivals, lanes, arrived, head, backlogs, sojourns):
+    for slot in range(arrivals.shape[0]):
+        backlogs[slot] = lanes[AFTER]
+        lanes[BACKLOG] = lanes[AFTER]
+        lanes[ARRIVALS] = arrivals[slot]
+        serve_users(slot, 1, lanes, arrived, head)
+        sojourns[slot] = lanes[SOJOURN]
+
+
+@pytest.mark.parametrize(("load", "batch"), [(0.5, 1), (0.8, 1), (0.8, 4)])
+def test_unit_service_has_its_closed_mean(load, batch):
+    """Mean of F(t+1) = [F + A − 1]^+ with Poisson batches of b, E[A] = rho.
+
+    Squaring L' = (L − 1)^+ + A for L = F + A, with P(L > 0) = rho, gives
+    E[L] = rho + E[A(A−1)] / (2 (1−rho)); F' = (L − 1)^+ has rho less. For batches of b,
+    E[A(A−1)] = rho² + (b − 1) rho. Each slot with L > 0 delivers one packet, so Little's law gives
+    the mean sojourn: E[L] / rho slots (whole slots in the system, service included).
+    """
+    slots = 400_000
+    backlogs, sojourns = np.empty(slots), np.empty(slots)
+    uniform = np.random.default_rng(5).uniform(size=slots)
+    arrivals = batch * stats.poisson.ppf(uniform, load / batch)
+    lanes = np.zeros(NUM_QUEUE_LANES)
+    lanes[SERVICE] = 1.0
+    set_deadline(lanes, 0, 2.0)
+    long_run(arrivals, lanes, np.zeros((slots + 1, 1)), np.zeros(1, np.int64), backlogs, sojourns)
+    expected = (load**2 + (batch - 1) * load) / (2 * (1 - load))
+    means = backlogs.reshape(40, -1).mean(axis=1)
+    error = means.std(ddof=1) / np.sqrt(40)
+    assert error < 0.05 * expected
+    assert backlogs.mean() == pytest.approx(expected, abs=4 * error)
+    served = sojourns[sojourns > 0]
+    assert served.mean() == pytest.approx((expected + load) / load, abs=4 * error / load)

@@ -1,0 +1,245 @@
+"""One integration step and the loop around it; the whole loop is in tests/simulator."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hiersched.control import hold_delays
+from hiersched.models.plant.error_model import discretise, unicycle_error_model
+from hiersched.models.plant.reference import PathShape, driven_table, reference_table
+from hiersched.models.plant.unicycle import (
+    CONTROL,
+    LANES,
+    NORMALS,
+    NUM_PATH,
+    SLIP,
+    SLOT_SQUARE,
+    STATE,
+    WINDOW_SUMS,
+    RobotConstants,
+    close_loop,
+    gather_path,
+    hold_entry,
+    move_lanes,
+    path_scratch,
+    robot_state,
+)
+
+LAG_S = 0.1
+SHAPE = PathShape(
+    arc_radius_m=10.0,
+    eight_half_width_m=4.0,
+    zigzag_heading_rad=math.pi / 3,
+    zigzag_period_m=1.6,
+)
+
+
+def constants(reference="straight", *, step_s=0.0025, speed_mps=1.0, noise=0.0, max_delay=3,
+              local=None, network=None, inputs=None, limit=(2.0, 4.0)):  # fmt: skip
+    if reference == "file":  # speeds from 0 to 1.6 m/s, turn rates from -0.9 to 0.9 rad/s
+        time_s = np.linspace(0.0, 10.0, 201)
+        table, offset = driven_table(
+            time_s, 0.8 * time_s - 0.4 * np.sin(2 * time_s), 0.3 * np.sin(3 * time_s), np.zeros(2),
+            repeat=False, step_s=step_s, num_steps=4000, num_robots=1,
+        )  # fmt: skip
+    else:
+        table, offset = reference_table(reference, SHAPE, speed_mps, step_s, 4000, 1)
+    decay = math.exp(-step_s / LAG_S)
+    zeros = np.zeros((max_delay + 1, 2, 5))
+    return RobotConstants(
+        step_s=step_s, steps_per_slot=4, steps_per_sample=8, steps_per_window=400, sampling_s=0.02,
+        lag_decay=decay, lag_mean=(1 - decay) * LAG_S / step_s, slip_decay=0.9, slip_gain_mps=0.0,
+        slip_gain_radps=0.0, noise_position_m=noise, noise_heading_rad=2 * noise,
+        max_speed_mps=limit[0], max_turn_rate_radps=limit[1], core_latency_s=0.005,
+        max_delay_steps=max_delay, local_gain=zeros if local is None else local,
+        network_gain=zeros if network is None else network, has_memory=inputs is not None,
+        input_gain=np.zeros((max_delay + 1, max_delay, 2, 2)) if inputs is None else inputs,
+        hold_samples=0, adjusted_delay_steps=np.zeros(max_delay + 1, np.uint32),
+        path=table.rows(), pose=table.pose, offset=offset,
+    )  # fmt: skip
+
+
+def put(lanes, field, values, lane):
+    lanes[field + lane : field + lane + len(values) * LANES : LANES] = values
+
+
+def take(lanes, field, count, lane):
+    return lanes[field + lane : field + lane + count * LANES : LANES].copy()
+
+
+def move(robot, state, control, slip=(0.0, 0.0), steps=1, place=0, lane=3):
+    """Move one robot in one lane; the others stand still in theirs."""
+    return take(move_in_lane(robot, state, control, slip, steps, place, lane), STATE, 5, lane)
+
+
+def move_in_lane(robot, state, control, slip, steps, place, lane):
+    lanes = robot_state(1, LANES, 3, 200, 0.7, 0.0).lanes[0, 0]
+    for field, values in ((STATE, state), (CONTROL, control), (SLIP, slip)):
+        put(lanes, field, values, lane)
+    path = path_scratch(steps)
+    gather_path(robot.path, place, steps, lane, path)
+    for step in path.reshape(steps, NUM_PATH * LANES):
+        move_lanes(robot.step_s, robot.lag_mean, robot.lag_decay, step, lanes)
+    return lanes
+
+
+@pytest.mark.parametrize("speed_mps", [1.0, 0.6])
+def test_first_order_is_the_discretised_plant(speed_mps):
+    """Jacobian of one sample (8 steps) against A, B: what the gains are designed for."""
+    A, B = discretise(*unicycle_error_model(speed_mps, 0.0, LAG_S), 0.02)
+    robot, d = constants(speed_mps=speed_mps), 1e-5
+    for j in range(5):
+        x = d * np.eye(5)[j]
+        column = (move(robot, x, (0, 0), steps=8) - move(robot, -x, (0, 0), steps=8)) / (2 * d)
+        np.testing.assert_allclose(column, A[:, j], atol=2e-6)
+    for j in range(2):
+        u = d * np.eye(2)[j]
+        zero = np.zeros(5)
+        column = (move(robot, zero, u, steps=8) - move(robot, zero, -u, steps=8)) / (2 * d)
+        np.testing.assert_allclose(column, B[:, j], atol=2e-6)
+
+
+@pytest.mark.parametrize("reference", ["straight", "arc", "figure_eight", "zigzag", "file"])
+def test_without_slip_a_robot_stays_on_its_reference(reference):
+    """Open loop for 10 s: the midpoint rule drifts by v T (ω Δt)² / 24, 0.04 mm on the zig-zag."""
+    robot = constants(reference)
+    end = move(robot, np.zeros(5), (0.0, 0.0), steps=4000)
+    drift_m = 10.0 * (np.abs(robot.path[:, 0]).max() * robot.step_s) ** 2 / 24
+    assert np.hypot(*end[:2]) <= drift_m + 1e-12
+    np.testing.assert_array_equal(end[2:], 0.0)
+
+
+@pytest.mark.parametrize("reference", ["straight", "figure_eight", "zigzag", "file"])
+def test_motion_is_that_of_the_unicycle_in_the_world(reference):
+    """Integrate x' = v cos θ, y' = v sin θ, θ' = ω in the world, then change the frame."""
+    start, control, slip = np.array([0.1, -0.2, 0.6, 0.3, -0.5]), (0.4, 1.1), (0.05, -0.2)
+    robot, steps = constants(reference, speed_mps=0.9), 200
+    pose = robot.pose
+
+    def rate(z, reference_speed, turn):
+        theta, v, w = z[2:]
+        speed, omega = reference_speed + v + slip[0], turn + w + slip[1]
+        lag = (control[0] - v) / LAG_S, (control[1] - w) / LAG_S
+        return np.array([speed * math.cos(theta), speed * math.sin(theta), omega, *lag])
+
+    def frame(heading):
+        c, s = math.cos(heading), math.sin(heading)
+        return np.array([[c, s], [-s, c]])
+
+    z = np.array(
+        [*(pose[0, :2] + frame(pose[0, 2]).T @ start[:2]), pose[0, 2] + start[2], *start[3:]]
+    )
+    for at in robot.path[:steps, [4, 0]]:  # Runge and Kutta's fourth order: exact beside the other
+        h = robot.step_s
+        k1 = rate(z, *at)
+        k2 = rate(z + 0.5 * h * k1, *at)
+        k3 = rate(z + 0.5 * h * k2, *at)
+        z = z + h / 6 * (k1 + 2 * k2 + 2 * k3 + rate(z + h * k3, *at))
+    error = frame(pose[steps, 2]) @ (z[:2] - pose[steps, :2])
+    heading = (z[2] - pose[steps, 2] + math.pi) % (2 * math.pi) - math.pi
+    got = move(robot, start, control, slip, steps)
+    np.testing.assert_allclose(got, [*error, heading, *z[3:]], atol=2e-5)
+
+
+def test_halving_the_step_quarters_the_error():
+    start, control = np.array([0.1, -0.2, 0.6, 0.3, -0.5]), (0.4, 1.1)
+    ends = [
+        move(constants("arc", step_s=0.02 / n), start, control, steps=10 * n) for n in (2, 4, 64)
+    ]
+    coarse, fine = (np.abs(end - ends[2]).max() for end in ends[:2])
+    assert 3.5 < coarse / fine < 4.5
+
+
+def test_window_sums_by_hand():
+    """Slip alone, straight: v = 1.5, ω = 0.3, so |ω| / |v| = 0.2; at v = 0.01 it is 0.3 / 0.05."""
+    robot = constants()
+    lanes = move_in_lane(robot, np.zeros(5), np.zeros(2), (0.5, 0.3), 1, 0, 5)
+    state, sums = take(lanes, STATE, 5, 5), take(lanes, WINDOW_SUMS, 3, 5)
+    assert take(lanes, SLOT_SQUARE, 1, 5) == state[0] ** 2 + state[1] ** 2 == sums[0]
+    assert state[0] == pytest.approx(0.5 * 0.0025, abs=1e-8)
+    assert sums[1] == pytest.approx(0.3 * 0.0025)
+    assert sums[2] == pytest.approx(0.2)
+    lanes = move_in_lane(robot, np.zeros(5), np.zeros(2), (-0.99, 0.3), 2, 0, 5)
+    assert take(lanes, WINDOW_SUMS, 3, 5)[2] == pytest.approx(2 * 0.3 / 0.05)
+
+
+def random_gains(seed, max_delay=3, size=1.0):
+    return size * np.random.default_rng(seed).normal(size=(2, max_delay + 1, 2, 5))
+
+
+def close(robot, sample, delay, states, entry=None):
+    """Close the loop of the first robot, by default with the gains of its delay."""
+    of_robot = states.history[0, 0], states.commands[0, 0]
+    entry = delay if entry is None else entry
+    return close_loop(robot, sample, delay, entry, 0, states.lanes[0, 0], *of_robot)
+
+
+@given(st.lists(st.integers(0, 3), min_size=8, max_size=20), st.integers(0, 100))
+def test_command_is_the_delayed_feedback_with_the_gain_of_its_delay(delays, seed):
+    """u(k) = −K_local[T] y(k) − K_network[T] y(k − T), y the noisy measurement, y = 0 before 0."""
+    rng = np.random.default_rng(seed)
+    local, network = random_gains(seed, size=0.05)
+    robot = constants(local=local, network=network, noise=0.01)
+    states = robot_state(1, 1, 3, 200, 0.7, 0.0)
+    measured = {k: np.zeros(5) for k in range(-3, 0)}
+    for k, delay in enumerate(delays):
+        x, normals = rng.normal(size=5), rng.normal(size=5).astype(np.float32)
+        put(states.lanes[0, 0], STATE, x, 0)
+        put(states.lanes[0, 0], NORMALS, normals, 0)
+        saturated = close(robot, k, delay, states)
+        control = states.field(CONTROL, 2)[0, 0]
+        noise = np.array([0.01, 0.01, 0.02, 0.0, 0.0]) * [*normals[2:].astype(float), 0.0, 0.0]
+        measured[k] = x + noise
+        expected = -local[delay] @ measured[k] - network[delay] @ measured[k - delay]
+        assert np.abs(expected).max() < 2.0
+        np.testing.assert_allclose(control, expected, atol=1e-12)
+        assert saturated == 0
+
+
+@given(st.lists(st.integers(0, 3), min_size=8, max_size=20), st.integers(0, 100))
+def test_gains_with_memory_see_the_commands_that_were_applied(delays, seed):
+    """u(k) = −G_net[T] y(k−T) − G_loc[T] y(k) − Σ H[T,i] u(k−1−i), cut to its limits."""
+    rng = np.random.default_rng(seed)
+    local, network = random_gains(seed)
+    inputs, limit = rng.normal(size=(4, 3, 2, 2)), np.array([0.5, 3.0])
+    robot = constants(local=local, network=network, inputs=inputs, limit=tuple(limit))
+    states = robot_state(1, 1, 3, 200, 0.7, 0.0)
+    measured = {k: np.zeros(5) for k in range(-3, 0)}
+    applied = {k: np.zeros(2) for k in range(-4, 0)}
+    for k, T in enumerate(delays):
+        measured[k] = rng.normal(size=5) * 0.3
+        put(states.lanes[0, 0], STATE, measured[k], 0)
+        saturated = close(robot, k, T, states)
+        wanted = -network[T] @ measured[k - T] - local[T] @ measured[k]
+        wanted -= sum(inputs[T, i] @ applied[k - 1 - i] for i in range(3))
+        applied[k] = np.clip(wanted, -limit, limit)
+        np.testing.assert_allclose(states.field(CONTROL, 2)[0, 0], applied[k], atol=1e-12)
+        assert saturated == (np.abs(wanted) > limit).any()
+
+
+@given(st.lists(st.integers(0, 6), min_size=1, max_size=60), st.integers(0, 5))
+def test_entries_are_held_as_the_control_library_says(delays, hold_samples):
+    held = np.zeros(2, np.int64)
+    entries = [hold_entry(delay, hold_samples, held) for delay in delays]
+    assert entries == hold_delays(delays, hold_samples).tolist()
+
+
+def test_commands_stop_at_their_limits_and_say_so():
+    network = np.zeros((4, 2, 5))
+    network[0, 0, 0] = network[0, 1, 1] = 1.0
+    robot = constants(network=network, limit=(0.5, 3.0))
+    states = robot_state(1, 1, 3, 200, 0.7, 0.0)
+    for x, control, saturated in [
+        ([0.4, -2.0], [-0.4, 2.0], 0),
+        ([0.6, 0.0], [-0.5, 0.0], 1),
+        ([-0.6, 4.0], [0.5, -3.0], 1),
+        ([0.5, 3.0], [-0.5, -3.0], 0),
+    ]:
+        put(states.lanes[0, 0], STATE, x, 0)
+        got = close(robot, 0, 0, states)
+        assert (states.field(CONTROL, 2)[0, 0].tolist(), got) == (control, saturated)
