@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hiersched.core.compiled import kernel
+from hiersched.core.compiled import inner_kernel, kernel
 
 ROW_LANES = 32
 """Rows of the cost matrix are padded to a multiple of this: whole vectors, no scalar rest."""
@@ -97,7 +97,7 @@ def index_of(key: np.int64) -> int:
     return int(key & INDEX_BITS)
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def _reach_first(
     row: NDArray[np.float64],
     base: float,
@@ -115,7 +115,7 @@ def _reach_first(
     return index_of(key)
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def _reach(
     row: NDArray[np.float64],
     base: float,

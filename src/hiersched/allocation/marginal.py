@@ -24,7 +24,7 @@ from hiersched.allocation.assignment import (
     least_key,
 )
 from hiersched.allocation.objective import UserTerms, user_lagrangian
-from hiersched.core.compiled import kernel
+from hiersched.core.compiled import inner_kernel, kernel
 from hiersched.core.numerics import F32, from_ordered_f32, ln_f32, ordered_f32, ordered_f64
 
 UTILITY_LOG = 0
@@ -50,11 +50,9 @@ class AllocationScratch(NamedTuple):
     assignment: AssignmentScratch
     worth: NDArray[np.float32]  # (U K + K',)
     user_rate: NDArray[np.float64]  # (U,)
-    need: NDArray[np.float64]  # (U,) rate that a user can use of this slot, Mbit/s
     ones: NDArray[np.float64]  # (U,) weights of plain PF
     share: NDArray[np.float32]  # (U',)
     free_prb: NDArray[np.int64]  # (K,)
-    order: NDArray[np.int64]  # (U,)
     gain: NDArray[np.float64]  # (K, U')
     ratio: NDArray[np.float32]  # (K, U')
     best: NDArray[np.int64]  # (K,)
@@ -74,11 +72,9 @@ def allocation_scratch(num_users: int, num_prb: int) -> AllocationScratch:
         assignment=assignment,
         worth=np.zeros(num_users * num_prb + assignment.cost.shape[1], np.float32),
         user_rate=np.zeros(num_users),
-        need=np.zeros(num_users),
         ones=np.ones(num_users),
         share=np.zeros(lanes, np.float32),
         free_prb=np.zeros(num_prb, np.int64),
-        order=np.zeros(num_users, np.int64),
         gain=np.zeros((num_prb, lanes)),
         ratio=np.ones((num_prb, lanes), np.float32),
         best=np.zeros(num_prb, np.int64),
@@ -94,7 +90,7 @@ def _largest(values: NDArray[np.float32]) -> float:
     return float(from_ordered_f32(largest))
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def _row_costs(
     worth: NDArray[np.float32],
     first: int,
@@ -138,7 +134,10 @@ def _lagrangian_costs(
 
 @kernel()
 def _capped_costs(
-    rate: NDArray[np.float32], weight: NDArray[np.float64], scratch: AllocationScratch
+    rate: NDArray[np.float32],
+    weight: NDArray[np.float64],
+    need: NDArray[np.float64],
+    scratch: AllocationScratch,
 ) -> None:
     """Costs of w min(r, need), brought to 0 and above; between equal worths the rate decides.
 
@@ -150,7 +149,7 @@ def _capped_costs(
     greatest = 0.0
     for user in range(num_users):
         for k in range(num_prb):
-            worth = weight[user] * min(np.float64(rate[user, k]), scratch.need[user])
+            worth = weight[user] * min(np.float64(rate[user, k]), need[user])
             cost[user, k] = -worth
             greatest = max(greatest, worth)
     tie = TIE_SHARE * greatest if greatest > 0.0 else 1.0
@@ -167,11 +166,12 @@ def _capped_costs(
         scratch.assignment.nearest[user] = index_of(key)
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def _first_costs(
     utility: int,
     rate: NDArray[np.float32],
     weight: NDArray[np.float64],
+    need: NDArray[np.float64],
     terms: UserTerms,
     scratch: AllocationScratch,
 ) -> None:
@@ -184,7 +184,7 @@ def _first_costs(
     flat = rate.reshape(-1)
     worth = scratch.worth[: flat.shape[0]]
     if utility == UTILITY_CAPPED:
-        _capped_costs(rate, weight, scratch)
+        _capped_costs(rate, weight, need, scratch)
         return
     if utility == UTILITY_LOG:
         # One flat loop: rows are too short for full vectors.
@@ -226,7 +226,7 @@ def _marginal(
     return weight * (user_lagrangian(terms, user, have) - after)
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def _greatest(gain: NDArray[np.float64]) -> int:
     """Place of the greatest; the first of equal ones, values within 2^-42 counting as equal.
 
@@ -238,11 +238,12 @@ def _greatest(gain: NDArray[np.float64]) -> int:
     return int(INDEX_BITS - (key & INDEX_BITS))
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def _first_gains(
     utility: int,
     rate: NDArray[np.float32],
     weight: NDArray[np.float64],
+    need: NDArray[np.float64],
     terms: UserTerms,
     scratch: AllocationScratch,
     num_free: int,
@@ -278,7 +279,7 @@ def _first_gains(
                     rate[user, k],
                     have[user],
                     weight[user],
-                    scratch.need[user],
+                    need[user],
                     terms,
                 )
     for i in range(num_free):
@@ -287,11 +288,12 @@ def _first_gains(
         scratch.best[i] = _greatest(gain[i])
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def _give_out(
     utility: int,
     rate: NDArray[np.float32],
     weight: NDArray[np.float64],
+    need: NDArray[np.float64],
     terms: UserTerms,
     scratch: AllocationScratch,
     num_free: int,
@@ -336,7 +338,7 @@ def _give_out(
                     rate[user, k],
                     have[user],
                     weight[user],
-                    scratch.need[user],
+                    need[user],
                     terms,
                 )
                 best[i] = _greatest(gain[i])
@@ -345,7 +347,7 @@ def _give_out(
     return 0
 
 
-@kernel(forceinline=True)
+@inner_kernel(forceinline=True)
 def _still_greatest(
     gain: NDArray[np.float64],
     user: int,
@@ -367,11 +369,13 @@ def _still_greatest(
         user = _greatest(gain)
 
 
-@kernel(forceinline=True)
+@kernel()
 def allocate_by_utility(
     utility: int,
+    slot: int,
     rate: NDArray[np.float32],
     weight: NDArray[np.float64],
+    need: NDArray[np.float64],
     terms: UserTerms,
     scratch: AllocationScratch,
     owner: NDArray[np.uint32],
@@ -383,12 +387,14 @@ def allocate_by_utility(
     utility
         UTILITY_LOG (w log R: PF when all w are equal), UTILITY_LINEAR (w R), UTILITY_LAGRANGIAN
         (minus w times the user's drift-plus-penalty Lagrangian of `terms`) or UTILITY_CAPPED (w
-        min(R, need), with needs in `scratch.need`; PRBs that nobody needs go by PF, without
-        weights).
+        min(R, need); PRBs that nobody needs go by PF, without weights).
+    slot
+        Unused.
     rate
         Rate of each user on each PRB, shape (U, K), Mbit/s.
-    weight
-        Weight of each user, shape (U,).
+    weight, need
+        Weight of each user and the rate that it can use of this slot, shape (U,), Mbit/s; the need
+        is unused but by UTILITY_CAPPED.
     terms
         What the Lagrangian needs; unused by the others.
     scratch
@@ -397,19 +403,21 @@ def allocate_by_utility(
         Result: user of each PRB, shape (K,).
     """
     num_users, num_prb = rate.shape
-    _first_costs(utility, rate, weight, terms, scratch)
+    # Not a literal, for which two of the functions below would be compiled apart.
+    log = np.int64(UTILITY_LOG)
+    _first_costs(utility, rate, weight, need, terms, scratch)
     assignment = scratch.assignment
     assign_one_each(assignment)
     for user in range(num_users):
         scratch.user_rate[user] = rate[user, assignment.prb_of_user[user]]
-    num_free = 0
+    num_free = np.int64(0)
     for k in range(num_prb):
         first_owner = assignment.user_of_prb[k]
         owner[k] = first_owner
         scratch.free_prb[num_free] = k
         num_free += 1 if first_owner < 0 else 0
-    _first_gains(utility, rate, weight, terms, scratch, num_free)
-    left = _give_out(utility, rate, weight, terms, scratch, num_free, owner)
+    _first_gains(utility, rate, weight, need, terms, scratch, num_free)
+    left = _give_out(utility, rate, weight, need, terms, scratch, num_free, owner)
     if left > 0:
-        _first_gains(UTILITY_LOG, rate, scratch.ones, terms, scratch, left)
-        _give_out(UTILITY_LOG, rate, scratch.ones, terms, scratch, left, owner)
+        _first_gains(log, rate, scratch.ones, need, terms, scratch, left)
+        _give_out(log, rate, scratch.ones, need, terms, scratch, left, owner)

@@ -180,3 +180,26 @@ def draw_normals(
     for robot in range(num_robots):
         for j in range(5):
             out[robot, j] = normals[1 + j // 3, j % 3 * num_robots + robot]
+
+
+def normal_rows(num_robots: int, num_normals: int) -> int:
+    """Rows of `draw_normals` that hold `num_normals` normals for each robot."""
+    return -(-num_robots * num_normals // 5)
+
+
+@kernel()
+def draw_robot_normals(
+    key: np.uint64,
+    slot: int,
+    scratch: NormalScratch,
+    rows: NDArray[np.float32],
+    out: NDArray[np.float32],
+) -> None:
+    """Fill `out` (R, W) with standard normals of the robot stream, W of any size.
+
+    `rows` (`normal_rows(R, W)`, 5) is scratch, and `scratch` is for as many robots.
+    """
+    draw_normals(key, slot, scratch, rows)
+    flat, normals = rows.reshape(-1), out.reshape(-1)
+    for i in range(normals.shape[0]):
+        normals[i] = flat[i]

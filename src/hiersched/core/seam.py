@@ -21,7 +21,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
 
-from numba import types
+import numpy as np
+from numba import njit, types
 from numba.extending import intrinsic
 
 from hiersched.core.compiled import PACKAGE, inner_kernel
@@ -104,21 +105,10 @@ class Seam:
         return Plug(address_of(function, kinds), me.address), me
 
 
-@intrinsic  # type: ignore[misc]
-def call_plug(
-    typing_context: Any, plug: Any, constants: Any, state: Any, slot: Any, env: Any
-) -> Any:
-    """Call the kernel in a plug: call_plug(plug, constants, state, slot, env)."""
-    inner = (types.int64, constants, state, slot, types.int64)
-
-    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        address = builder.extract_value(values[0], 0)
-        words = builder.extract_value(values[0], 1)
-        number = context.cast(builder, values[4], signature.args[4], types.int64)
-        _call(context, builder, address, inner, (words, *values[1:4], number))
-        return context.get_dummy_value()
-
-    return types.none(plug, constants, state, slot, env), generate
+@njit(inline="always")
+def call_plug(plug: Any, constants: Any, state: Any, slot: Any, env: int) -> None:
+    """Call the kernel in a plug."""
+    call_at(plug.kernel, plug.words, constants, state, slot, np.int64(env))
 
 
 @intrinsic  # type: ignore[misc]

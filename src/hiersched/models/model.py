@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar, get_args, get_type_hints
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict
 
 from hiersched.core.registry import PluginError, Registry
+from hiersched.models.plant.feedback import LoopMemory, loop_memory
 
 if TYPE_CHECKING:
     from hiersched.control import DelayedPlant
@@ -37,6 +39,19 @@ class Setup:
     scenario: Scenario
     num_envs: int
     num_slots: int
+
+    @property
+    def num_samples(self) -> int:
+        """Control samples of an episode."""
+        scenario = self.scenario
+        length_s = self.num_slots * scenario.radio.slot_s
+        return math.ceil(length_s / scenario.control.sampling_s - 1e-9)
+
+    def loop_memory(self, n: int, m: int) -> LoopMemory:
+        """Return what the loops of the robots remember, for n states and m inputs."""
+        scenario = self.scenario
+        num_robots, longest = scenario.users.num_urllc, scenario.max_delay_steps
+        return loop_memory(self.num_envs, num_robots, self.num_samples, longest, n, m)
 
 
 class Belief(NamedTuple):
@@ -69,8 +84,8 @@ class Model:
         return []
 
     def words(self, setup: Setup) -> Any:
-        """Return what the kernel gets as `me`: a NamedTuple of numbers and arrays."""
-        raise TypeError(f"{type(self).__name__} has no kernel")
+        """Return what the kernels get as `me`, a NamedTuple of numbers and arrays; None: none."""
+        return None
 
     def reset(self, words: Any, keys: NDArray[np.uint64]) -> None:
         """Bring the words back to the start of an episode in the worlds `keys` (E,), in place."""

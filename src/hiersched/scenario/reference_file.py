@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from hiersched.models.plant.reference import arc_lengths, displacements, turns
 from hiersched.scenario.schema import Scenario
 
 COLUMNS = ("t", "x", "y", "theta")
@@ -139,32 +140,9 @@ def _time_fault(points: Floats) -> str:
     )
 
 
-def turns(points: Floats) -> Floats:
-    """Change of heading from row to row, shape (N - 1,), in [-pi, pi): unwrapped."""
-    change: Floats = (np.diff(points[:, 3]) + math.pi) % (2.0 * math.pi) - math.pi
-    return change
-
-
-def _displacements(points: Floats) -> tuple[Floats, Floats]:
-    """Displacement from row to row along and across the chord of an arc, shape (N - 1,) each."""
-    middle = points[:-1, 3] + 0.5 * turns(points)
-    dx, dy = np.diff(points[:, 1]), np.diff(points[:, 2])
-    return (
-        dx * np.cos(middle) + dy * np.sin(middle),
-        dy * np.cos(middle) - dx * np.sin(middle),
-    )
-
-
-def arc_lengths(points: Floats) -> Floats:
-    """Length of the arc from row to row, shape (N - 1,): its chord by sinc(half the turn)."""
-    along, _ = _displacements(points)
-    length: Floats = np.maximum(along, 0.0) / np.sinc(0.5 * turns(points) / math.pi)
-    return length
-
-
 def _motion_fault(points: Floats) -> str:
     change = turns(points)
-    along, across = _displacements(points)
+    along, across = displacements(points)
     for i, (turn, forward, sideways) in enumerate(zip(change, along, across, strict=True), start=1):
         if abs(turn) > MAX_TURN_RAD:
             return (
@@ -202,7 +180,7 @@ def _speed_fault(points: Floats, limit_mps: float) -> str:
 def _drift_fault(points: Floats) -> str:
     heading = points[0, 3] + np.concatenate([[0.0], np.cumsum(turns(points))])
     middle = 0.5 * (heading[1:] + heading[:-1])
-    along = np.maximum(_displacements(points)[0], 0.0)
+    along = np.maximum(displacements(points)[0], 0.0)
     driven = np.cumsum(along[:, None] * np.stack([np.cos(middle), np.sin(middle)], axis=1), axis=0)
     off_m = np.hypot(*(points[0, 1:3] + driven - points[1:, 1:3]).T)
     allowed_m = DRIFT_M + DRIFT_SHARE * np.cumsum(along)

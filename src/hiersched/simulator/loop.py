@@ -2,155 +2,129 @@
 
 from __future__ import annotations
 
-import math
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hiersched.core.compiled import kernel
+from hiersched.core.compiled import inner_kernel, kernel
 from hiersched.core.numerics import F32
-from hiersched.core.randomness import (
-    STREAM_ARRIVAL,
-    draw_exponentials,
-    draw_normals,
-    draw_uniforms,
-)
-from hiersched.models.channel.link_budget import prb_rates
-from hiersched.models.plant.dexterity import window_index
-from hiersched.models.plant.unicycle import (
-    CONTROL,
-    LANES,
-    NORMALS,
-    NUM_PATH,
-    SLOT_SQUARE,
-    STATE,
-    WINDOW_SUMS,
-    RobotConstants,
-    close_loop,
-    gather_path,
-    hold_entry,
-    move_lanes,
-    start_slot,
-    steps_of_delay,
-)
-from hiersched.policies.rules import schedule_slot
-from hiersched.simulator.linear_robots import drive_linear
+from hiersched.core.randomness import STREAM_ARRIVAL, draw_uniforms
+from hiersched.core.seam import UNUSED, Plug, call_at, call_plug
+from hiersched.models.plant.feedback import steps_of_delay
 from hiersched.simulator.prefetch import prefetch_third
-from hiersched.simulator.record import SlotFields
 from hiersched.simulator.service import serve
-from hiersched.simulator.setup import SlotConstants, SlotScratch, SlotState
 
-GIVEN = -1
-"""Scheduler code where the owners of the PRBs are given."""
+GIVEN = 0
+"""How to decide: the owners of the PRBs are given."""
+OWN = 1
+"""How to decide: a rule's kernel names the owners itself."""
+BY_UTILITY = 2
+"""How to decide: an allocation to the largest sum of weighted utilities."""
+IN_ORDER = 3
+"""How to decide: an allocation that goes through the users in an order."""
 
 
-@kernel(forceinline=True)
-def draw_channel(
-    constants: SlotConstants,
-    state: SlotState,
-    scratch: SlotScratch,
-    env: int,
-    fading_power: NDArray[np.float32],
-) -> None:
-    """Draw environment `env`'s coming slot: its fading into (U, K), its rates into the state."""
-    power = fading_power.reshape(-1)
-    draw_exponentials(state.key[env], state.slot[env], constants.fading_scale, scratch.words, power)
-    prb_rates(
-        power,
-        state.snr[env],
-        constants.prb_bandwidth_mhz,
-        state.prb_rate_mbps[env].reshape(-1),
-    )
+class Plugs(NamedTuple):
+    """What is plugged into the seams (`models.seams`, `policies.seams`), and the allocation.
+
+    `how` is GIVEN, OWN, BY_UTILITY or IN_ORDER; the two last have an allocation, whose kernel takes
+    `code`.
+    """
+
+    path_loss: Plug
+    fading: Plug
+    link: Plug
+    report: Plug
+    deliver: Plug
+    arrivals: Plug
+    queue: Plug
+    plant: Plug
+    how: int = GIVEN
+    allocation: Plug = UNUSED
+    code: int = 0
+    index: Plug = UNUSED
+    weigh: Plug = UNUSED
+    allocate: Plug = UNUSED
+
+
+@inner_kernel()
+def _draw_channel(plugs: Any, constants: Any, state: Any, slot: Any, env: int) -> None:
+    """Draw a world's coming slot: fading, rates, and what is reported of them."""
+    if plugs.path_loss.kernel != 0:
+        call_plug(plugs.path_loss, constants, state, slot, env)
+    call_plug(plugs.fading, constants, state, slot, env)
+    call_plug(plugs.link, constants, state, slot, env)
+    if plugs.report.kernel != 0:
+        call_plug(plugs.report, constants, state, slot, env)
 
 
 @kernel()
-def draw_channels(constants: SlotConstants, state: SlotState, scratch: SlotScratch) -> None:
-    """Draw every environment's first slot; the average rate starts at that of one PRB."""
-    num_users, num_prb = state.prb_rate_mbps.shape[1:]
+def draw_channels(plugs: Any, constants: Any, state: Any, slot: Any) -> None:
+    """Draw every world's first slot; the average rate starts at that of one PRB."""
+    num_users, num_prb = state.reported_rate_mbps.shape[1:]
     for env in range(state.key.shape[0]):
-        draw_channel(constants, state, scratch, env, state.fading_power[env])
+        _draw_channel(plugs, constants, state, slot, env)
         for user in range(num_users):
             total = 0.0
             for prb in range(num_prb):
-                total += state.prb_rate_mbps[env, user, prb]
+                total += state.reported_rate_mbps[env, user, prb]
             state.average_rate_mbps[env, user] = total / num_prb
 
 
 @kernel()
 def run_slots(
-    constants: SlotConstants,
-    state: SlotState,
-    scratch: SlotScratch,
-    scheduler: int,
-    weights: NDArray[np.float64],
-    multipliers: NDArray[np.float64],
+    plugs: Any,
+    constants: Any,
+    state: Any,
+    scratch: Any,
+    one: Any,
     owners: NDArray[np.uint32],
     rows: NDArray[np.uint64],
 ) -> None:
-    """Run all environments for as many slots as `rows` has.
+    """Run all worlds for as many slots as `rows` has.
 
     Parameters
     ----------
-    constants, state, scratch
-        From `simulator.setup`; `state` moves on.
-    scheduler
-        Code of the scheduler, or GIVEN.
-    weights
-        Weights of the weighted PF rule, shape (E, U).
-    multipliers
-        Multiplier of each URLLC user's delay constraint, shape (E, R).
+    plugs, constants, state, scratch
+        Pointers to these; `state` moves on.
+    one
+        Pointer to the slot in work, `record.OneSlot`.
     owners
         For GIVEN, the owner of each PRB, shape (E, T, K); not read otherwise.
     rows
         Is filled: the rows of a record, shape (E, T, words).
     """
-    record = scratch.slot
+    slot = one.fields
     for env in range(state.key.shape[0]):
-        _copy(state.fading_power[env].reshape(-1), record.fading_power.reshape(-1))
         for index in range(rows.shape[1]):
             row = rows[env, index]
             prefetch_third(row, 0)
-            _observe(constants, state, scratch, multipliers[env], record, env)
+            _observe(constants, state, scratch, slot, env)
             prefetch_third(row, 1)
-            for user in range(weights.shape[1]):
-                record.weight[user] = np.float32(weights[env, user])
-            if scheduler == GIVEN:
-                for prb in range(constants.num_prb):
-                    record.prb_owner[prb] = owners[env, index, prb]
+            if plugs.how == GIVEN:
+                _copy(owners[env, index], slot.prb_owner)
             else:
-                schedule_slot(
-                    scheduler,
-                    state.slot[env],
-                    state.prb_rate_mbps[env],
-                    weights[env],
-                    state.hol_delay_s[env],
-                    state.average_rate_mbps[env],
-                    state.rate_mbps[env],
-                    scratch.terms,
-                    constants.rules,
-                    scratch.scheduler,
-                    record.prb_owner,
-                )
+                _decide(plugs, constants, state, scratch, slot, env)
+            for user in range(slot.weight.shape[0]):
+                slot.weight[user] = np.float32(state.weight[env, user])
             prefetch_third(row, 2)
-            serve(constants, state, scratch, record, env)
-            _move_robots(constants, state, scratch, record, env)
+            serve(plugs, constants, state, scratch, slot, env)
+            _move_robots(plugs, constants, state, slot, env)
             # What this slot delivers is known when it has ended: the next slot's samples use it.
-            _copy(record.network_delay_s, state.robots.delay_s[env])
+            _copy(slot.network_delay_s, state.delay_s[env])
             state.slot[env] += 1
-            _copy(scratch.row, row)
-            # The next slot's channel goes where it will be needed, after the last slot the state.
-            is_last = index == rows.shape[1] - 1
-            power = state.fading_power[env] if is_last else record.fading_power
-            draw_channel(constants, state, scratch, env, power)
+            _copy(one.words, row)
+            _draw_channel(plugs, constants, state, slot, env)
 
 
 @kernel()
 def run_robots(
-    constants: SlotConstants,
-    state: SlotState,
-    scratch: SlotScratch,
+    plugs: Any,
+    constants: Any,
+    state: Any,
+    one: Any,
     network_delay_s: NDArray[np.float64],
     rows: NDArray[np.uint64],
 ) -> None:
@@ -158,18 +132,18 @@ def run_robots(
 
     A delay is in force in its own slot.
     """
-    record = scratch.slot
-    scratch.row[:] = 0  # what belongs to the network
+    slot = one.fields
+    for word in range(one.words.shape[0]):
+        one.words[word] = 0  # what belongs to the network
     for env in range(state.key.shape[0]):
         for index in range(rows.shape[1]):
-            _draw_robots(constants, state, scratch, record, env)
             for robot in range(constants.num_urllc):
-                record.dexterity_index[robot] = state.robots.dexterity_index[env, robot]
-                record.network_delay_s[robot] = network_delay_s[env, index, robot]
-                state.robots.delay_s[env, robot] = network_delay_s[env, index, robot]
-            _move_robots(constants, state, scratch, record, env)
+                slot.dexterity_index[robot] = state.dexterity_index[env, robot]
+                slot.network_delay_s[robot] = network_delay_s[env, index, robot]
+                state.delay_s[env, robot] = network_delay_s[env, index, robot]
+            _move_robots(plugs, constants, state, slot, env)
             state.slot[env] += 1
-            _copy(scratch.row, rows[env, index])
+            _copy(one.words, rows[env, index])
 
 
 @njit(inline="always")
@@ -178,7 +152,7 @@ def _copy(values: NDArray[Any], out: NDArray[Any]) -> None:
         out[i] = values[i]
 
 
-@kernel()
+@inner_kernel()
 def _row_mean(values: NDArray[np.float32]) -> np.float32:
     """Mean in a fixed order of eight interleaved sums: fast, and the same bits on every machine."""
     count = values.shape[0]
@@ -198,169 +172,77 @@ def _row_mean(values: NDArray[np.float32]) -> np.float32:
     return (((s0 + s1) + (s2 + s3)) + ((s4 + s5) + (s6 + s7))) / F32(count)
 
 
-@kernel(forceinline=True)
-def _observe(
-    constants: SlotConstants,
-    state: SlotState,
-    scratch: SlotScratch,
-    multiplier: NDArray[np.float64],
-    record: SlotFields,
-    env: int,
-) -> None:
-    """Draw the slot's world and note what the scheduler sees."""
-    num_users = state.backlog_packets.shape[1]
-    key = state.key[env]
-    slot = state.slot[env]
-    draw_uniforms(key, STREAM_ARRIVAL, slot, 0, record.arrival_uniform)
-    _draw_robots(constants, state, scratch, record, env)
+@inner_kernel(forceinline=True)
+def _observe(constants: Any, state: Any, scratch: Any, slot: Any, env: int) -> None:
+    """Note what a policy sees of the slot, and the world's uniforms of its arrivals."""
+    draw_uniforms(state.key[env], STREAM_ARRIVAL, state.slot[env], 0, slot.arrival_uniform)
+    _copy(state.fading_power[env].reshape(-1), slot.fading_power.reshape(-1))
     terms = scratch.terms
-    for user in range(num_users):
-        record.mean_fading_power[user] = _row_mean(record.fading_power[user])
+    for user in range(slot.rate_mbps.shape[0]):
+        slot.mean_fading_power[user] = _row_mean(slot.fading_power[user])
         backlog = state.backlog_packets[env, user]
         terms.backlog_packets[user] = backlog
-        record.backlog_packets[user] = backlog
-        record.hol_delay_s[user] = state.hol_delay_s[env, user]
-        record.average_rate_mbps[user] = state.average_rate_mbps[env, user]
+        slot.backlog_packets[user] = backlog
+        slot.hol_delay_s[user] = state.hol_delay_s[env, user]
+        slot.average_rate_mbps[user] = state.average_rate_mbps[env, user]
     for robot in range(constants.num_urllc):
-        dexterity = state.robots.dexterity_index[env, robot]
+        dexterity, multiplier = state.dexterity_index[env, robot], state.multiplier[env, robot]
         terms.service_offset_mbps[robot] = constants.service_coefficient_mbps * dexterity
-        terms.multiplier[robot] = multiplier[robot]
-        record.dexterity_index[robot] = dexterity
-        record.multiplier[robot] = multiplier[robot]
+        terms.multiplier[robot] = multiplier
+        slot.dexterity_index[robot] = dexterity
+        slot.multiplier[robot] = multiplier
 
 
-@kernel(forceinline=True)
-def _draw_robots(
-    constants: SlotConstants, state: SlotState, scratch: SlotScratch, record: SlotFields, env: int
-) -> None:
-    """Draw the robots' standard normals of the slot."""
-    if constants.is_linear:
-        rows = scratch.linear_normals
-        draw_normals(state.key[env], state.slot[env], scratch.normals, rows)
-        normals = record.robot_normal.reshape(-1)
-        _copy(rows.reshape(-1)[: normals.shape[0]], normals)
+@inner_kernel()
+def _decide(plugs: Any, constants: Any, state: Any, scratch: Any, slot: Any, env: int) -> None:
+    """Let policy and rule decide who gets which PRB."""
+    if plugs.weigh.kernel != 0:
+        call_plug(plugs.weigh, constants, state, slot, env)
+    if plugs.how == OWN:
+        call_plug(plugs.allocate, constants, state, slot, env)
+        _check_owners(slot.prb_owner, slot.num_prb)
+        return
+    if plugs.index.kernel == 0:
+        _copy(state.weight[env], state.index[env])
     else:
-        draw_normals(state.key[env], state.slot[env], scratch.normals, record.robot_normal)
+        call_plug(plugs.index, constants, state, slot, env)
+        if plugs.how == BY_UTILITY:  # an urgency is no utility: weights leave it alone
+            for user in range(slot.rate_mbps.shape[0]):
+                state.index[env, user] *= state.weight[env, user]
+    call_at(
+        plugs.allocation.kernel,
+        plugs.code,
+        state.slot[env],
+        state.reported_rate_mbps[env],
+        state.index[env],
+        state.need_mbps[env],
+        scratch.terms,
+        plugs.allocation.words,
+        slot.prb_owner,
+    )
 
 
-@kernel(forceinline=True)
-def _move_robots(
-    constants: SlotConstants, state: SlotState, scratch: SlotScratch, record: SlotFields, env: int
-) -> None:
+@inner_kernel()
+def _check_owners(owner: NDArray[np.uint32], count: NDArray[np.uint32]) -> None:
+    """Every PRB has an owner that is there, and every user a PRB or more; `count` is scratch."""
+    for user in range(count.shape[0]):
+        count[user] = 0
+    for prb in range(owner.shape[0]):
+        if owner[prb] >= count.shape[0]:
+            raise ValueError("a rule gave a PRB to a user that is not there")
+        count[owner[prb]] += 1
+    for user in range(count.shape[0]):
+        if count[user] == 0:
+            raise ValueError("a rule left a user without a PRB")
+
+
+@inner_kernel(forceinline=True)
+def _move_robots(plugs: Any, constants: Any, state: Any, slot: Any, env: int) -> None:
     """Move all robots through the slot with the network delays in force."""
-    robots = constants.robots
-    for robot in range(record.network_delay_s.shape[0]):
-        steps = steps_of_delay(state.robots.delay_s[env, robot], robots.sampling_s)
-        record.delay_steps[robot] = steps
-        record.delay_capped[robot] = 1 if steps > robots.max_delay_steps else 0
-        record.control_saturated[robot] = 0
-    if constants.is_linear:
-        drive_linear(robots, constants.linear, state, record, env)
-    else:
-        _drive_robots(robots, state, scratch.path, record, env)
-
-
-@kernel(forceinline=True)
-def _drive_robots(
-    robots: RobotConstants,
-    state: SlotState,
-    path: NDArray[np.float64],
-    record: SlotFields,
-    env: int,
-) -> None:
-    """Move all unicycles through the slot."""
-    delay_steps = record.delay_steps
-    saturated = record.control_saturated
-    num_robots = delay_steps.shape[0]
-    first = state.slot[env] * robots.steps_per_slot
-    last = first + robots.steps_per_slot
-    for block in range(state.robots.lanes.shape[1]):
-        lanes = state.robots.lanes[env, block]
-        begin = block * LANES
-        count = min(LANES, num_robots - begin)
-        for lane in range(count):
-            normals = record.robot_normal[begin + lane]
-            for j in range(5):
-                lanes[NORMALS + j * LANES + lane] = np.float64(normals[j])
-            place = robots.offset[begin + lane] + first
-            gather_path(robots.path, place, robots.steps_per_slot, lane, path)
-        start_slot(robots, lanes)
-        for step in range(first, last):
-            if step % robots.steps_per_sample == 0:
-                sample = step // robots.steps_per_sample
-                for lane in range(count):
-                    robot = begin + lane
-                    step_delay = int(delay_steps[robot])
-                    entry = min(step_delay, robots.max_delay_steps)
-                    if robots.hold_samples > 0:
-                        held = state.robots.held[env, robot]
-                        entry = hold_entry(entry, robots.hold_samples, held)
-                    saturated[robot] += close_loop(
-                        robots,
-                        sample,
-                        step_delay,
-                        entry,
-                        lane,
-                        lanes,
-                        state.robots.history[env, robot],
-                        state.robots.commands[env, robot],
-                    )
-                    adjusted = robots.adjusted_delay_steps[entry]
-                    state.robots.gain_delay_steps[env, robot] = adjusted
-            of_step = (step - first) * NUM_PATH * LANES
-            move_lanes(
-                robots.step_s,
-                robots.lag_mean,
-                robots.lag_decay,
-                path[of_step : of_step + NUM_PATH * LANES],
-                lanes,
-            )
-            if (step + 1) % robots.steps_per_window == 0:
-                _end_window(robots, lanes, state.robots.dexterity_index[env, begin:])
-        for lane in range(count):
-            _record_robot(robots, state, lanes, lane, last, record, env, begin + lane)
-
-
-@kernel()
-def _end_window(
-    robots: RobotConstants, lanes: NDArray[np.float64], dexterity_index: NDArray[np.float64]
-) -> None:
-    """Dexterity index of a block of robots, shape (robots from the block on,), and new sums."""
-    for lane in range(min(LANES, dexterity_index.shape[0])):
-        dexterity_index[lane] = window_index(
-            lanes[WINDOW_SUMS + lane],
-            lanes[WINDOW_SUMS + LANES + lane],
-            lanes[WINDOW_SUMS + 2 * LANES + lane],
-            robots.steps_per_window,
-        )
-    for place in range(WINDOW_SUMS, WINDOW_SUMS + 3 * LANES):
-        lanes[place] = 0.0
-
-
-@kernel(forceinline=True)
-def _record_robot(
-    robots: RobotConstants,
-    state: SlotState,
-    lanes: NDArray[np.float64],
-    lane: int,
-    last: int,
-    record: SlotFields,
-    env: int,
-    robot: int,
-) -> None:
-    """Note where one robot stands after the slot's last step."""
-    record.gain_delay_steps[robot] = state.robots.gain_delay_steps[env, robot]
-    record.tracking_error_m[robot] = math.sqrt(lanes[SLOT_SQUARE + lane] / robots.steps_per_slot)
-    body = record.state[robot]
-    for j in range(5):
-        body[j] = lanes[STATE + j * LANES + lane]
-    place = robots.offset[robot] + last
-    reference = record.reference[robot]
-    pose = robots.pose[place]
-    for j in range(3):
-        reference[j] = pose[j]
-    reference[3] = robots.path[place - 1, 4]
-    reference[4] = robots.path[place - 1, 0]
-    control = record.control[robot]
-    control[0] = lanes[CONTROL + lane]
-    control[1] = lanes[CONTROL + LANES + lane]
+    loop = constants.loop
+    for robot in range(slot.delay_steps.shape[0]):
+        steps = steps_of_delay(state.delay_s[env, robot], loop.sampling_s)
+        slot.delay_steps[robot] = steps
+        slot.delay_capped[robot] = 1 if steps > loop.max_delay_steps else 0
+        slot.control_saturated[robot] = 0
+    call_plug(plugs.plant, constants, state, slot, env)

@@ -54,6 +54,13 @@ class SlotFields(NamedTuple):
     dexterity_index: NDArray[np.float64]  # (R,) in force
 
 
+class OneSlot(NamedTuple):
+    """The slot in work: its fields, each of its noted shape, and the same memory as words."""
+
+    fields: SlotFields
+    words: NDArray[np.uint64]
+
+
 class SlotRecord(SlotFields):
     """Slots of E environments: every field has leading axes (E, T), then the shape of a slot.
 
@@ -163,10 +170,10 @@ class SlotLayout:
         record.rows = rows
         return record
 
-    def slot(self) -> tuple[SlotFields, NDArray[np.uint64]]:
-        """Fields of a single slot, each of its noted shape, and the row that they are views of."""
-        row = np.zeros(self.words, np.uint64)
-        return SlotFields(**self._views(row)), row
+    def slot(self) -> OneSlot:
+        """Return a single slot, zeroed."""
+        words = np.zeros(self.words, np.uint64)
+        return OneSlot(SlotFields(**self._views(words)), words)
 
 
 def _shape_of(name: str) -> tuple[str | int, ...]:

@@ -1,56 +1,80 @@
-"""From a scenario and a gain schedule to the constants and the initial state of the slot loop."""
+"""From a scenario and a gain schedule to the constants and the state of the slot loop."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.allocation.objective import UserTerms
-from hiersched.core.randomness import NormalScratch, normal_scratch
-from hiersched.models.channel.link_budget import large_scale_gain, snr_per_fading_power
-from hiersched.models.plant.linear import LinearConstants, LinearState, linear_state
-from hiersched.models.plant.unicycle import RobotConstants, RobotState, path_scratch, robot_state
-from hiersched.models.queue.fifo import LANES, NUM_QUEUE_LANES, set_deadline
-from hiersched.models.traffic.poisson import MAX_MEAN, NUM_ARRIVAL_LANES
-from hiersched.policies.rules import (
-    CAPPED,
-    SchedulerConstants,
-    SchedulerScratch,
-    need_codes,
-    scheduler_scratch,
-)
+from hiersched.models.model import Belief, Setup
+from hiersched.models.plant.feedback import LoopConstants
 from hiersched.scenario.schema import Scenario
-from hiersched.simulator.record import SlotFields, SlotLayout
-from hiersched.simulator.robot_setup import Gains, linear_constants, robot_constants
-from hiersched.simulator.user_lanes import (
-    MEAN_DUE,
-    NUM_USER_LANES,
-    OFFERED,
-    PACKETS,
-    SENSITIVITY,
-)
+
+
+class Gains(Protocol):
+    """What the slot loop needs of a schedule: tables for T = 0 … T_max (`simulator.loop_gains`)."""
+
+    @property
+    def local_gains(self) -> NDArray[np.float64]:
+        """Gains on the present measurement."""
+        ...
+
+    @property
+    def network_gains(self) -> NDArray[np.float64]:
+        """Gains on the delayed measurement."""
+        ...
+
+    @property
+    def input_gains(self) -> NDArray[np.float64]:
+        """Gains on past commands, the newest first."""
+        ...
+
+    @property
+    def adjusted(self) -> NDArray[np.bool_]:
+        """Whether an entry is another gain than the nominal one."""
+        ...
 
 
 class SlotConstants(NamedTuple):
-    """What does not change during a run. Arrays have shape (U,), URLLC users first."""
+    """What does not change during a run. Arrays have shape (U,), URLLC users first.
+
+    Attributes
+    ----------
+    num_urllc, num_prb
+        R and K.
+    slot_s
+        Length of a slot [s].
+    deadline_s, deadline_slots, late_share
+        Deadline [s] and [slots], and the share of packets that may miss it.
+    offered_mbps, rate_sensitivity, arrival_packets_per_mbps, mean_due_packets
+        What the base station expects of the arrivals (`models.model.Belief`).
+    service_packets_per_mbps, service_coefficient_mbps
+        Packets a slot at 1 Mbit/s; beta of the service r - beta DI.
+    penalty_weight, epsilon, delay_exponent_per_mbps, violation_share, measured_constraint
+        V, epsilon, alpha_1 D_max and 1 - chi of the objective; whether the constraint is on late
+        shares.
+    average_forgetting
+        1 / window of the moving average rate.
+    reward_scale
+        Rewards are divided by it.
+    loop
+        Gains, delays and latency of the robots' loops.
+    """
 
     num_urllc: int
     num_prb: int
     slot_s: float
-    prb_bandwidth_mhz: float
-    fading_scale: np.float32
+    deadline_s: NDArray[np.float64]
+    deadline_slots: NDArray[np.float64]
+    late_share: NDArray[np.float64]
     offered_mbps: NDArray[np.float64]
     rate_sensitivity: NDArray[np.float64]
     arrival_packets_per_mbps: NDArray[np.float64]
+    mean_due_packets: NDArray[np.float64]
     service_packets_per_mbps: float
     service_coefficient_mbps: float
-    batch_packets: int
-    deadline_slots: NDArray[np.float64]
-    mean_due_packets: NDArray[np.float64]
     penalty_weight: float
     epsilon: float
     delay_exponent_per_mbps: float
@@ -58,52 +82,65 @@ class SlotConstants(NamedTuple):
     measured_constraint: bool
     average_forgetting: float
     reward_scale: float
-    rules: SchedulerConstants
-    robots: RobotConstants
-    is_linear: bool  # robots that are linear plants, not unicycles
-    linear: LinearConstants
+    loop: LoopConstants
 
 
 class SlotState(NamedTuple):
-    """What evolves, one row an environment; the channel is that of the coming slot."""
+    """What evolves, one row an environment; the channel is that of the coming slot.
 
-    key: NDArray[np.uint64]  # (E,)
-    slot: NDArray[np.int64]  # (E,)
-    snr: NDArray[np.float64]  # (E, U*K)
-    fading_power: NDArray[np.float32]  # (E, U, K)
-    prb_rate_mbps: NDArray[np.float32]  # (E, U, K)
-    backlog_packets: NDArray[np.float64]  # (E, U)
-    hol_delay_s: NDArray[np.float64]  # (E, U)
-    average_rate_mbps: NDArray[np.float64]  # (E, U)
-    rate_mbps: NDArray[np.float64]  # (E, U) of the last slot
-    arrived: NDArray[np.float64]  # (E, T + 1, U): a slot's users side by side in memory
-    head: NDArray[np.int64]  # (E, U)
-    robots: RobotState
-    linear: LinearState
+    Attributes
+    ----------
+    key, slot
+        World, and index of the coming slot, shape (E,).
+    snr
+        Signal-to-noise ratio at unit fading power, each user's K times, shape (E, U K), linear.
+    fading_power
+        Squared amplitudes, shape (E, U, K), float32.
+    prb_rate_mbps, reported_rate_mbps
+        What each PRB carries for each user and what policies are told, shape (E, U, K), float32:
+        one array where nothing reports.
+    backlog_packets, hol_delay_s, average_rate_mbps, rate_mbps
+        At the start of the coming slot; the last is that of the slot before; shape (E, U).
+    multiplier
+        Of each URLLC user's delay constraint, shape (E, R).
+    weight, index, need_mbps
+        Factors of the utilities by a policy, what the rule's utilities are multiplied with (or
+        urgencies), and the rate that a user can use of the slot, shape (E, U).
+    delay_s, dexterity_index, gain_delay_steps
+        In force for each robot, shape (E, R); the last is the delay whose adjusted gain is in
+        force, 0 for the nominal gain.
+    robot_state
+        Of each robot at the end of the last slot, shape (E, R, N).
+    """
+
+    key: NDArray[np.uint64]
+    slot: NDArray[np.int64]
+    snr: NDArray[np.float64]
+    fading_power: NDArray[np.float32]
+    prb_rate_mbps: NDArray[np.float32]
+    reported_rate_mbps: NDArray[np.float32]
+    backlog_packets: NDArray[np.float64]
+    hol_delay_s: NDArray[np.float64]
+    average_rate_mbps: NDArray[np.float64]
+    rate_mbps: NDArray[np.float64]
+    multiplier: NDArray[np.float64]
+    weight: NDArray[np.float64]
+    index: NDArray[np.float64]
+    need_mbps: NDArray[np.float64]
+    delay_s: NDArray[np.float64]
+    dexterity_index: NDArray[np.float64]
+    gain_delay_steps: NDArray[np.uint32]
+    robot_state: NDArray[np.float64]
 
 
 class SlotScratch(NamedTuple):
     """Work arrays of the slot loop."""
 
-    words: NDArray[np.uint32]
-    normals: NormalScratch
-    scheduler: SchedulerScratch
-    users: NDArray[np.float64]  # (blocks, fields of LANES users)
-    arrivals: NDArray[np.float64]  # likewise
-    queues: NDArray[np.float64]  # likewise
     terms: UserTerms
-    path: NDArray[np.float64]
-    linear_normals: NDArray[np.float32]  # of all linear plants, in rows of 5
-    slot: SlotFields
-    row: NDArray[np.uint64]  # in which `slot` lies
 
 
-def _per_user(value: float | Sequence[float], count: int) -> NDArray[np.float64]:
-    return np.broadcast_to(np.asarray(value, dtype=np.float64), (count,)).copy()
-
-
-def slot_constants(scenario: Scenario, gains: Gains, num_slots: int) -> SlotConstants:
-    """Constants of a run of `num_slots` slots.
+def slot_constants(scenario: Scenario, gains: Gains, belief: Belief) -> SlotConstants:
+    """Constants of a run.
 
     Parameters
     ----------
@@ -111,65 +148,30 @@ def slot_constants(scenario: Scenario, gains: Gains, num_slots: int) -> SlotCons
         The validated scenario.
     gains
         Gains for every delay up to `scenario.max_delay_steps`.
-    num_slots
-        Horizon of the run.
+    belief
+        What the base station expects of the arrivals.
 
     Raises
     ------
     ValueError
-        If the gains do not cover the scenario's delays, or a user's mean arrivals are beyond the
-        Poisson quantile.
+        If the gains do not cover the scenario's delays.
     """
     radio, traffic, objective = scenario.radio, scenario.traffic, scenario.objective
-    num_urllc, num_embb = scenario.users.num_urllc, scenario.users.num_embb
-    packet_mbit = traffic.packet_bits * 1e-6
-    delay_s = (
-        traffic.deadline_s if traffic.application_delay_s is None else traffic.application_delay_s
-    )
-    interval_s = radio.slot_s + delay_s
-    offered_urllc = traffic.load * _per_user(traffic.urllc_offered_mbps, num_urllc)
-    offered_embb = traffic.load * _per_user(traffic.embb_offered_mbps, num_embb)
-    sensitivity = np.repeat([traffic.rate_sensitivity, 0.0], [num_urllc, num_embb])
-    # lambda_0 such that the load at the reference rate is the offered one: the interval of the
-    # arrivals is longer than a slot (SPEC 2), so lambda_0 is smaller than the load.
-    base = offered_urllc * radio.slot_s / interval_s + (
-        traffic.rate_sensitivity * traffic.reference_rate_mbps
-    )
-    offered = np.concatenate([base, offered_embb])
-    arrival = np.repeat([interval_s, radio.slot_s], [num_urllc, num_embb]) / packet_mbit
-    worst = offered * arrival / traffic.batch_packets
-    if worst.max() > MAX_MEAN:
-        user = int(worst.argmax())
-        raise ValueError(
-            f"user {user}: up to {worst[user]:.6g} batches a slot on average; at most {MAX_MEAN:g} "
-            "(lower traffic.load or the offered rate, or raise traffic.packet_bits or "
-            "traffic.batch_packets)"
-        )
-    deadline_s = np.repeat([traffic.deadline_s, traffic.embb_deadline_s], [num_urllc, num_embb])
-    rules = SchedulerConstants(
-        deadline_s=deadline_s,
-        late_share=1.0
-        - np.repeat([traffic.reliability, traffic.embb_reliability], [num_urllc, num_embb]),
-        num_urllc=num_urllc,
-        log_rule_offset=scenario.schedulers.log_rule_offset,
-        log_rule_gain=scenario.schedulers.log_rule_gain,
-        need=need_codes({name: getattr(scenario.schedulers, f"{name}_need") for name in CAPPED}),
-        slot_s=radio.slot_s,
-    )
+    of_slice = [scenario.users.num_urllc, scenario.users.num_embb]
+    deadline_s = np.repeat([traffic.deadline_s, traffic.embb_deadline_s], of_slice)
     return SlotConstants(
-        num_urllc=num_urllc,
+        num_urllc=scenario.users.num_urllc,
         num_prb=radio.num_prb,
         slot_s=radio.slot_s,
-        prb_bandwidth_mhz=radio.bandwidth_hz / radio.num_prb * 1e-6,
-        fading_scale=np.float32(2.0 * radio.rayleigh_scale**2),
-        offered_mbps=offered,
-        rate_sensitivity=sensitivity,
-        arrival_packets_per_mbps=arrival,
-        service_packets_per_mbps=radio.slot_s / packet_mbit,
-        service_coefficient_mbps=traffic.service_coefficient_mbps,
-        batch_packets=traffic.batch_packets,
+        deadline_s=deadline_s,
         deadline_slots=_near_integer(deadline_s / radio.slot_s),
-        mean_due_packets=np.concatenate([offered_urllc, offered_embb]) * radio.slot_s / packet_mbit,
+        late_share=1.0 - np.repeat([traffic.reliability, traffic.embb_reliability], of_slice),
+        offered_mbps=belief.offered_mbps,
+        rate_sensitivity=belief.rate_sensitivity,
+        arrival_packets_per_mbps=belief.packets_per_mbps,
+        mean_due_packets=belief.mean_due_packets,
+        service_packets_per_mbps=radio.slot_s / (traffic.packet_bits * 1e-6),
+        service_coefficient_mbps=traffic.service_coefficient_mbps,
         penalty_weight=objective.penalty_weight,
         epsilon=objective.epsilon,
         delay_exponent_per_mbps=objective.delay_exponent * traffic.deadline_s,
@@ -177,10 +179,7 @@ def slot_constants(scenario: Scenario, gains: Gains, num_slots: int) -> SlotCons
         measured_constraint=objective.constraint == "measured",
         average_forgetting=1.0 / scenario.schedulers.average_window_slots,
         reward_scale=scenario.learning.reward_scale,
-        rules=rules,
-        robots=robot_constants(scenario, gains, num_slots, num_urllc),
-        is_linear=scenario.control.plant == "linear",
-        linear=linear_constants(scenario),
+        loop=loop_constants(scenario, gains),
     )
 
 
@@ -190,70 +189,89 @@ def _near_integer(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(np.abs(values - rounded) < 1e-9 * np.maximum(1.0, rounded), rounded, values)
 
 
-def initial_state(scenario: Scenario, keys: NDArray[np.uint64], num_slots: int) -> SlotState:
-    """Empty queues, and robots on their reference, in the worlds `keys` (E,).
+def loop_constants(scenario: Scenario, gains: Gains) -> LoopConstants:
+    """Constants of the robots' loops.
 
-    The channel of slot 0 is not drawn yet: `Simulator` does that.
+    Raises
+    ------
+    ValueError
+        If the gains do not cover the scenario's delays.
     """
-    num_envs, num_users, num_prb = len(keys), scenario.num_users, scenario.radio.num_prb
-    radio, (n, m, _) = scenario.radio, scenario.robot_sizes
-    num_samples = math.ceil(num_slots * radio.slot_s / scenario.control.sampling_s - 1e-9)
-    snr = np.full((num_envs, num_users), snr_per_fading_power(radio.tx_power_dbm, radio.noise_dbm))
-    if radio.path_loss == "macro":
-        for env, key in enumerate(keys):
-            snr[env] *= large_scale_gain(
-                int(key),
-                num_users,
-                cell_radius_m=radio.cell_radius_m,
-                min_distance_m=radio.min_distance_m,
-                shadowing_db=radio.shadowing_db,
-            )
-    return SlotState(
-        key=np.asarray(keys, dtype=np.uint64).copy(),
-        slot=np.zeros(num_envs, np.int64),
-        snr=np.repeat(snr, num_prb, axis=1),
-        fading_power=np.zeros((num_envs, num_users, num_prb), np.float32),
-        prb_rate_mbps=np.zeros((num_envs, num_users, num_prb), np.float32),
-        backlog_packets=np.zeros((num_envs, num_users)),
-        hol_delay_s=np.zeros((num_envs, num_users)),
-        average_rate_mbps=np.zeros((num_envs, num_users)),
-        rate_mbps=np.zeros((num_envs, num_users)),
-        arrived=np.zeros((num_envs, num_slots + 1, num_users)),
-        head=np.zeros((num_envs, num_users), np.int64),
-        robots=robot_state(
-            num_envs,
-            scenario.users.num_urllc,
-            scenario.max_delay_steps,
-            num_samples,
-            scenario.robot.initial_dexterity_index,
-            scenario.robot.core_latency_s,
-            n,
-            m,
-        ),
-        linear=linear_state(num_envs, scenario.users.num_urllc, num_samples, n, m),
+    count = scenario.max_delay_steps + 1
+    n, m, _ = scenario.robot_sizes
+    shapes = {
+        "local_gains": (count, m, n),
+        "network_gains": (count, m, n),
+        "input_gains": (count, count - 1, m, m),
+    }
+    tables = {}
+    for name, shape in shapes.items():
+        # A schedule's own arrays are read-only: another type, for which the kernels would be
+        # compiled once more.
+        table = np.array(getattr(gains, name), np.float64)
+        if table.shape != shape:
+            raise ValueError(f"{name}: shape {table.shape}, must be {shape}")
+        tables[name.removesuffix("s")] = table
+    return LoopConstants(
+        sampling_s=scenario.control.sampling_s,
+        core_latency_s=scenario.robot.core_latency_s,
+        max_delay_steps=scenario.max_delay_steps,
+        **tables,
+        has_memory=bool(tables["input_gain"].any()),
+        hold_samples=scenario.control.hold_samples,
+        adjusted_delay_steps=np.where(gains.adjusted, np.arange(count), 0).astype(np.uint32),
     )
 
 
-def _user_lanes(constants: SlotConstants) -> NDArray[np.float64]:
-    num_users = len(constants.offered_mbps)
-    lanes = np.zeros((-(-num_users // LANES), NUM_USER_LANES))
-    lanes[:, MEAN_DUE : MEAN_DUE + LANES] = 1.0
-    for field, values in (
-        (OFFERED, constants.offered_mbps),
-        (SENSITIVITY, constants.rate_sensitivity),
-        (PACKETS, constants.arrival_packets_per_mbps),
-        (MEAN_DUE, constants.mean_due_packets),
-    ):
-        for user, value in enumerate(values):
-            lanes[user // LANES, field + user % LANES] = value
-    return lanes
+def slot_state(setup: Setup, *, has_report: bool) -> SlotState:
+    """Arrays of a run's state; `reset_state` fills them."""
+    scenario, num_envs = setup.scenario, setup.num_envs
+    num_users, num_prb = scenario.num_users, scenario.radio.num_prb
+    num_robots, num_states = scenario.users.num_urllc, scenario.robot_sizes[0]
+
+    def users() -> NDArray[np.float64]:
+        return np.zeros((num_envs, num_users))
+
+    def robots() -> NDArray[np.float64]:
+        return np.zeros((num_envs, num_robots))
+
+    def prbs() -> NDArray[np.float32]:
+        return np.zeros((num_envs, num_users, num_prb), np.float32)
+
+    rate = prbs()
+    return SlotState(
+        key=np.zeros(num_envs, np.uint64),
+        slot=np.zeros(num_envs, np.int64),
+        snr=np.zeros((num_envs, num_users * num_prb)),
+        fading_power=prbs(),
+        prb_rate_mbps=rate,
+        reported_rate_mbps=prbs() if has_report else rate,
+        backlog_packets=users(),
+        hol_delay_s=users(),
+        average_rate_mbps=users(),
+        rate_mbps=users(),
+        multiplier=robots(),
+        weight=users(),
+        index=users(),
+        need_mbps=users(),
+        delay_s=robots(),
+        dexterity_index=robots(),
+        gain_delay_steps=np.zeros((num_envs, num_robots), np.uint32),
+        robot_state=np.zeros((num_envs, num_robots, num_states)),
+    )
 
 
-def _queue_lanes(constants: SlotConstants) -> NDArray[np.float64]:
-    lanes = np.zeros((-(-len(constants.deadline_slots) // LANES), NUM_QUEUE_LANES))
-    for user, deadline_slots in enumerate(constants.deadline_slots):
-        set_deadline(lanes[user // LANES], user % LANES, deadline_slots)
-    return lanes
+def reset_state(state: SlotState, scenario: Scenario, keys: NDArray[np.uint64]) -> None:
+    """Empty queues and robots on their reference in the worlds `keys` (E,), in place.
+
+    The signal-to-noise ratios and the channel of slot 0 are not there yet: `Simulator` does that.
+    """
+    for values in state:
+        values[...] = 0
+    state.key[:] = keys
+    state.weight[:] = 1.0
+    state.delay_s[:] = scenario.robot.core_latency_s  # until the network has delivered something
+    state.dexterity_index[:] = scenario.robot.initial_dexterity_index
 
 
 def user_terms(constants: SlotConstants) -> UserTerms:
@@ -271,26 +289,4 @@ def user_terms(constants: SlotConstants) -> UserTerms:
         multiplier=np.zeros(num_users),
         delay_exponent_per_mbps=constants.delay_exponent_per_mbps,
         violation_share=constants.violation_share,
-    )
-
-
-def slot_scratch(constants: SlotConstants, robot_sizes: tuple[int, int, int]) -> SlotScratch:
-    """Work arrays for one caller of the slot loop; sizes from `Scenario.robot_sizes`."""
-    num_users = len(constants.offered_mbps)
-    num_prb = constants.num_prb
-    blocks = -(-num_users // LANES)
-    slot, row = SlotLayout(num_users, constants.num_urllc, num_prb, robot_sizes).slot()
-    normal_rows = -(-constants.num_urllc * robot_sizes[2] // 5)
-    return SlotScratch(
-        words=np.zeros((4, (num_users * num_prb + 3) // 4), np.uint32),
-        normals=normal_scratch(normal_rows),
-        scheduler=scheduler_scratch(num_users, num_prb),
-        users=_user_lanes(constants),
-        arrivals=np.zeros((blocks, NUM_ARRIVAL_LANES)),
-        queues=_queue_lanes(constants),
-        terms=user_terms(constants),
-        path=path_scratch(constants.robots.steps_per_slot),
-        linear_normals=np.zeros((normal_rows if constants.is_linear else 0, 5), np.float32),
-        slot=slot,
-        row=row,
     )

@@ -1,12 +1,10 @@
-"""From transmit power to the rate of every resource block: r = B log2(1 + p g |h|^2 / noise)."""
+"""From transmit power to the signal-to-noise ratio of every user: p g / noise."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.core.compiled import kernel
-from hiersched.core.numerics import log2_f64
 from hiersched.core.randomness import STREAM_POSITION, draw_uniforms
 from hiersched.core.units import db_to_linear, dbm_to_w
 
@@ -36,29 +34,3 @@ def large_scale_gain(
     normal = np.sqrt(-2.0 * np.log(uniforms[1])) * np.cos(2.0 * np.pi * uniforms[2])
     loss_db = 128.1 + 37.6 * np.log10(distance_m / 1000.0) + shadowing_db * normal
     return np.array([db_to_linear(-loss) for loss in loss_db])
-
-
-@kernel()
-def prb_rates(
-    fading_power: NDArray[np.float32],
-    snr: NDArray[np.float64],
-    prb_bandwidth_mhz: float,
-    rate_mbps: NDArray[np.float32],
-) -> None:
-    """Rate of every user on every PRB, in place: B log2(1 + snr |h|^2).
-
-    Parameters
-    ----------
-    fading_power
-        Squared fading amplitude, shape (U*K,), user by user.
-    snr
-        Signal-to-noise ratio at unit fading power, shape (U*K,), linear: each user's value K times.
-    prb_bandwidth_mhz
-        Bandwidth of one PRB.
-    rate_mbps
-        Result, shape (U*K,). Rounded to float32, so that sums over PRBs in double are exact and do
-        not depend on their order: a reader of the log gets the same bits.
-    """
-    for i in range(fading_power.shape[0]):
-        snr_i = snr[i] * np.float64(fading_power[i])
-        rate_mbps[i] = np.float32(prb_bandwidth_mhz * log2_f64(1.0 + snr_i))

@@ -5,19 +5,41 @@ The state is held between samples.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.core.compiled import kernel
-from hiersched.models.plant.unicycle import RobotConstants, late_place, recall
+from hiersched.core.compiled import inner_kernel
+from hiersched.core.randomness import (
+    NormalScratch,
+    draw_robot_normals,
+    normal_rows,
+    normal_scratch,
+)
+from hiersched.models.model import Plant, Setup
+from hiersched.models.plant.dexterity import window_index
+from hiersched.models.plant.feedback import (
+    LoopConstants,
+    LoopMemory,
+    entry_in_force,
+    feedback,
+    forget,
+    late_place,
+)
+from hiersched.models.seams import DRIVE
+
+if TYPE_CHECKING:
+    from hiersched.scenario.schema import Scenario
 
 
-class LinearConstants(NamedTuple):
-    """Matrices for n states and m inputs, standard deviations a sample, limits (m,), error states.
+class LinearWords(NamedTuple):
+    """Parameters and state of R plants in each of E worlds; n states, m inputs.
 
-    All are empty where the robots are unicycles.
+    Matrices, standard deviations a sample (n,), limits (m,), error states. `state` (E, R, n) now
+    and `coming` after the sample, `past` (E, R, samples + 1, n) the states of the run, `control`
+    (E, R, m), `window_square` (E, R) the squared errors of the window.
     """
 
     A: NDArray[np.float64]
@@ -27,103 +49,166 @@ class LinearConstants(NamedTuple):
     measurement_noise: NDArray[np.float64]
     input_limits: NDArray[np.float64]
     error_states: NDArray[np.int64]
-
-
-class LinearState(NamedTuple):
-    """What evolves beside `RobotState`, one row an environment.
-
-    `state` (E, R, n) now and `coming` after the sample, `past` (E, R, samples + 1, n) the states
-    of the run, `control` (E, R, m), `window_square` (E, R) the squared errors of the window.
-    """
-
+    slots_per_sample: int
+    slots_per_window: int
     state: NDArray[np.float64]
     coming: NDArray[np.float64]
     past: NDArray[np.float64]
     control: NDArray[np.float64]
     window_square: NDArray[np.float64]
+    memory: LoopMemory
+    normals: NormalScratch
+    normal_rows: NDArray[np.float32]
 
 
-def linear_state(num_envs: int, num_robots: int, num_samples: int, n: int, m: int) -> LinearState:
-    """Plants at rest at the origin, for runs of at most `num_samples` control samples."""
-    return LinearState(
-        state=np.zeros((num_envs, num_robots, n)),
-        coming=np.zeros((num_envs, num_robots, n)),
-        past=np.zeros((num_envs, num_robots, num_samples + 1, n)),
-        control=np.zeros((num_envs, num_robots, m)),
-        window_square=np.zeros((num_envs, num_robots)),
+class Linear(Plant):
+    """Robots that are a discrete linear plant: n states, m inputs, matrices row by row."""
+
+    def sizes(self, scenario: Scenario) -> tuple[int, int, int]:
+        """As in `Plant`."""
+        n, m = np.shape(self.B)
+        return n, m, 2 * n
+
+    def words(self, setup: Setup) -> LinearWords:
+        """As in `Model`."""
+        scenario, num_envs = setup.scenario, setup.num_envs
+        n, m, num_normals = self.sizes(scenario)
+        num_robots, slot_s = scenario.users.num_urllc, scenario.radio.slot_s
+        memory = setup.loop_memory(n, m)
+        arrays = {
+            name: np.zeros((n, n)) if value is None else np.array(value, dtype=np.float64)
+            for name in ("A", "A_d", "B", "process_noise", "measurement_noise")
+            for value in [getattr(self, name)]
+        }
+        limits = self.input_limits
+        return LinearWords(
+            **arrays,
+            input_limits=np.full(m, np.inf) if limits is None else np.array(limits, np.float64),
+            error_states=np.array(self.error_states, np.int64),
+            slots_per_sample=round(scenario.control.sampling_s / slot_s),
+            slots_per_window=round(scenario.robot.window_s / slot_s),
+            state=np.zeros((num_envs, num_robots, n)),
+            coming=np.zeros((num_envs, num_robots, n)),
+            past=np.zeros_like(memory.history),
+            control=np.zeros((num_envs, num_robots, m)),
+            window_square=np.zeros((num_envs, num_robots)),
+            memory=memory,
+            normals=normal_scratch(normal_rows(num_robots, num_normals)),
+            normal_rows=np.zeros((normal_rows(num_robots, num_normals), 5), np.float32),
+        )
+
+    def reset(self, words: LinearWords, keys: NDArray[np.uint64]) -> None:
+        """As in `Model`: plants at rest at the origin."""
+        for values in (words.state, words.coming, words.past, words.control, words.window_square):
+            values[...] = 0.0
+        forget(words.memory)
+
+
+@DRIVE.kernel(LinearWords)
+def drive_linear(me: LinearWords, constants: Any, state: Any, slot: Any, env: int) -> None:
+    """Move all plants of a world through the slot.
+
+    A sample begins with a slot. The state is held until the next sample; the record has it after
+    the slot, as for unicycles. The window's index has the tracking error alone: no heading and no
+    curvature.
+    """
+    draw_robot_normals(
+        state.key[env], state.slot[env], me.normals, me.normal_rows, slot.robot_normal
     )
+    now, loop = state.slot[env], constants.loop
+    for robot in range(slot.delay_steps.shape[0]):
+        body = me.state[env, robot]
+        if now % me.slots_per_sample == 0:
+            delay_steps = int(slot.delay_steps[robot])
+            entry = entry_in_force(loop, delay_steps, me.memory.held[env, robot])
+            slot.control_saturated[robot] += _sample(
+                me,
+                loop,
+                now // me.slots_per_sample,
+                delay_steps,
+                entry,
+                slot.robot_normal[robot],
+                (env, robot),
+            )
+            state.gain_delay_steps[env, robot] = loop.adjusted_delay_steps[entry]
+        square = _square_error(me, body)
+        me.window_square[env, robot] += square
+        if (now + 1) % me.slots_per_sample == 0:
+            for j in range(body.shape[0]):
+                body[j] = me.coming[env, robot, j]
+        if (now + 1) % me.slots_per_window == 0:
+            state.dexterity_index[env, robot] = window_index(
+                me.window_square[env, robot], 0.0, 0.0, me.slots_per_window
+            )
+            me.window_square[env, robot] = 0.0
+        slot.tracking_error_m[robot] = math.sqrt(square)
+        slot.gain_delay_steps[robot] = state.gain_delay_steps[env, robot]
+        for j in range(body.shape[0]):
+            slot.state[robot, j] = body[j]
+            state.robot_state[env, robot, j] = body[j]
+        for i in range(me.control.shape[2]):
+            slot.control[robot, i] = me.control[env, robot, i]
 
 
-@kernel()
-def sample_linear(
-    robots: RobotConstants,
-    linear: LinearConstants,
+@inner_kernel()
+def _sample(
+    me: LinearWords,
+    loop: LoopConstants,
     sample: int,
     delay_steps: int,
     entry: int,
     normals: NDArray[np.float32],
-    history: NDArray[np.float64],
-    commands: NDArray[np.float64],
-    state: NDArray[np.float64],
-    coming: NDArray[np.float64],
-    past: NDArray[np.float64],
-    control: NDArray[np.float64],
+    place: tuple[int, int],
 ) -> int:
-    """Measure one plant, set its inputs as `unicycle.close_loop` does, and find x(k+1).
+    """Measure one plant, set its inputs (`feedback`), and find x(k+1).
 
     Parameters
     ----------
-    robots, linear
-        Gains; plant.
+    me, loop
+        The plants; gains.
     sample, delay_steps, entry
         k, T_d and the entry of the tables in force.
     normals
         Standard normals, shape (2 n,): process noise, measurement noise.
-    history, commands
-        Measurements (samples + 1, n) and the ring of applied inputs (T_max + 1, m); written.
-    state, coming, past, control
-        Of this plant, as in `LinearState`; all but `state` are written.
+    place
+        World and robot.
 
     Returns
     -------
     int
         1 if an input met its limit, else 0.
     """
-    n, m = linear.B.shape
+    n, m = me.B.shape
+    history, commands = me.memory.history[place], me.memory.commands[place]
+    state, past, control = me.state[place], me.past[place], me.control[place]
     late_sample = late_place(sample, delay_steps, history.shape[0])
     now, late, late_state = history[sample], history[late_sample], past[late_sample]
     for j in range(n):
         past[sample, j] = state[j]
-        now[j] = state[j] + linear.measurement_noise[j] * np.float64(normals[n + j])
+        now[j] = state[j] + me.measurement_noise[j] * np.float64(normals[n + j])
     saturated = 0
     for i in range(m):
-        command = 0.0
-        for j in range(n):
-            command -= robots.network_gain[entry, i, j] * late[j]
-            command -= robots.local_gain[entry, i, j] * now[j]
-        if robots.has_memory:
-            command -= recall(robots.input_gain[entry, :, i], sample, commands)
-        if abs(command) > linear.input_limits[i]:
-            command = linear.input_limits[i] if command > 0.0 else -linear.input_limits[i]
+        command = feedback(loop, entry, i, late, now, sample, commands)
+        if abs(command) > me.input_limits[i]:
+            command = me.input_limits[i] if command > 0.0 else -me.input_limits[i]
             saturated = 1
         control[i] = command
-    ring = robots.max_delay_steps + 1
     for i in range(m):
-        commands[sample % ring, i] = control[i]
+        commands[sample % commands.shape[0], i] = control[i]
     for i in range(n):
-        value = linear.process_noise[i] * np.float64(normals[i])
+        value = me.process_noise[i] * np.float64(normals[i])
         for j in range(n):
-            value += linear.A[i, j] * state[j] + linear.A_d[i, j] * late_state[j]
+            value += me.A[i, j] * state[j] + me.A_d[i, j] * late_state[j]
         for j in range(m):
-            value += linear.B[i, j] * control[j]
-        coming[i] = value
+            value += me.B[i, j] * control[j]
+        me.coming[place][i] = value
     return saturated
 
 
-@kernel()
-def square_error(linear: LinearConstants, state: NDArray[np.float64]) -> float:
+@inner_kernel()
+def _square_error(me: LinearWords, state: NDArray[np.float64]) -> float:
     """Sum of the squares of the states that count as tracking error."""
     total = 0.0
-    for state_index in linear.error_states:
+    for state_index in me.error_states:
         total += state[state_index] ** 2
     return total

@@ -211,3 +211,26 @@ def _integrated(
     y = start[1] + np.concatenate([[0.0], np.cumsum(chord_m * np.sin(middle_heading))])
     pose = np.stack([x, y, heading], axis=1)
     return ReferenceTable(step_s=step_s, pose=pose, speed_mps=speed_mps, turn_rate_radps=turn_rate)
+
+
+def turns(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Change of heading from row to row, shape (N - 1,), in [-pi, pi): unwrapped."""
+    change: NDArray[np.float64] = (np.diff(points[:, 3]) + math.pi) % (2.0 * math.pi) - math.pi
+    return change
+
+
+def displacements(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Displacement from row to row along and across the chord of an arc, shape (N - 1,) each."""
+    middle = points[:-1, 3] + 0.5 * turns(points)
+    dx, dy = np.diff(points[:, 1]), np.diff(points[:, 2])
+    return (
+        dx * np.cos(middle) + dy * np.sin(middle),
+        dy * np.cos(middle) - dx * np.sin(middle),
+    )
+
+
+def arc_lengths(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Length of the arc from row to row, shape (N - 1,): its chord by sinc(half the turn)."""
+    along, _ = displacements(points)
+    length: NDArray[np.float64] = np.maximum(along, 0.0) / np.sinc(0.5 * turns(points) / math.pi)
+    return length

@@ -6,15 +6,37 @@ departure of speed and turn rate from the reference.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from hiersched.core.compiled import kernel
+from hiersched.core.compiled import inner_kernel
 from hiersched.core.numerics import cos_half, sin_half, wrap_angle
-from hiersched.models.plant.dexterity import MIN_SPEED_MPS
+from hiersched.core.randomness import NormalScratch, draw_normals, normal_scratch
+from hiersched.models.model import Plant, Setup
+from hiersched.models.plant.dexterity import MIN_SPEED_MPS, window_index
+from hiersched.models.plant.feedback import (
+    LoopConstants,
+    LoopMemory,
+    entry_in_force,
+    feedback,
+    forget,
+    late_place,
+)
+from hiersched.models.plant.reference import (
+    PathShape,
+    ReferenceTable,
+    arc_lengths,
+    driven_table,
+    reference_table,
+    turns,
+)
+from hiersched.models.seams import DRIVE
+
+if TYPE_CHECKING:
+    from hiersched.scenario.schema import Robot, Scenario
 
 NUM_STATES = 5
 NUM_INPUTS = 2
@@ -36,22 +58,21 @@ that the compiler knows, it proves that fields do not overlap, and uses whole ve
 NUM_PATH = 5
 
 
-class RobotConstants(NamedTuple):
-    """What does not change during a run.
+class UnicycleWords(NamedTuple):
+    """Parameters, state and work arrays of R robots in each of E worlds.
 
-    `adjusted_delay_steps`, shape (T_max + 1,), is T where the gain for T is adjusted, 0 where it is
-    nominal. `local_gain` and `network_gain`, shape (T_max + 1, 2, 5), act on the present and on the
-    delayed measurement, `input_gain`, shape (T_max + 1, T_max, 2, 2), on past commands, the newest
-    first; `has_memory` says whether any of it is not 0; an entry is held for `hold_samples`.
     `path`, shape (N, 5), describes the reference in each step: turn rate, cosine and sine of half
-    the step's turn, chord, speed; `offset`, shape (R,), is where each robot starts in it.
+    the step's turn, chord, speed; `pose` (N + 1, 3) has its poses; `offset`, shape (R,), is where
+    each robot starts in it. `lanes` (E, blocks, 18 LANES) holds, for blocks of LANES robots, state
+    (5), slip (2), control (2), sums over the window (3), the slot's sum of squared position errors
+    and its standard normals (5), each LANES times. `gathered` is the reference of one block over
+    one slot.
     """
 
     step_s: float
     steps_per_slot: int
     steps_per_sample: int
     steps_per_window: int
-    sampling_s: float
     lag_decay: float
     lag_mean: float
     slip_decay: float
@@ -61,95 +82,98 @@ class RobotConstants(NamedTuple):
     noise_heading_rad: float
     max_speed_mps: float
     max_turn_rate_radps: float
-    core_latency_s: float
-    max_delay_steps: int
-    local_gain: NDArray[np.float64]
-    network_gain: NDArray[np.float64]
-    input_gain: NDArray[np.float64]
-    has_memory: bool
-    hold_samples: int
-    adjusted_delay_steps: NDArray[np.uint32]
     path: NDArray[np.float64]
     pose: NDArray[np.float64]
     offset: NDArray[np.int64]
-
-
-class RobotState(NamedTuple):
-    """What evolves, one row an environment.
-
-    `lanes` (E, blocks, 18 LANES) holds, for blocks of LANES robots, state (5), slip (2), control
-    (2), sums over the window (3), the slot's sum of squared position errors and its standard
-    normals (5), each LANES times. `history` (E, R, samples + 1, 5) has the measured states of the
-    whole run, `commands` (E, R, T_max + 1, 2) is the ring of applied commands, kept for gains with
-    memory only, `held` (E, R, 2) the entry in force and the samples for which it has to be kept
-    (hysteresis), `delay_s` (E, R) the network delay in force, `dexterity_index` (E, R) the index in
-    force, `gain_delay_steps` (E, R) the delay whose adjusted gain is in force, 0 for the nominal
-    gain.
-    """
-
     lanes: NDArray[np.float64]
-    history: NDArray[np.float64]
-    commands: NDArray[np.float64]
-    held: NDArray[np.int64]
-    delay_s: NDArray[np.float64]
-    dexterity_index: NDArray[np.float64]
-    gain_delay_steps: NDArray[np.uint32]
-
-    def field(self, start: int, count: int) -> NDArray[np.float64]:
-        """Copy of a field of all robots, such as `STATE` with 5 values, shape (E, R, count)."""
-        num_envs, num_robots = self.dexterity_index.shape
-        lanes = self.lanes[:, :, start : start + count * LANES]
-        by_robot = lanes.reshape(num_envs, -1, count, LANES).transpose(0, 1, 3, 2)
-        return by_robot.reshape(num_envs, -1, count)[:, :num_robots].copy()
+    memory: LoopMemory
+    normals: NormalScratch
+    gathered: NDArray[np.float64]
 
     def set_state(self, value: NDArray[np.float64]) -> None:
         """Put all robots into states, shape (E, R, 5) or broadcast to it."""
-        num_envs, num_robots = self.dexterity_index.shape
+        num_envs, num_robots = len(self.lanes), len(self.offset)
         value = np.broadcast_to(value, (num_envs, num_robots, NUM_STATES))
         for robot in range(num_robots):
             block, lane = divmod(robot, LANES)
             self.lanes[:, block, STATE + lane : SLIP + lane : LANES] = value[:, robot]
 
 
-def robot_state(
-    num_envs: int,
-    num_robots: int,
-    max_delay_steps: int,
-    num_samples: int,
-    initial_dexterity_index: float,
-    initial_delay_s: float,
-    num_states: int = NUM_STATES,
-    num_inputs: int = NUM_INPUTS,
-) -> RobotState:
-    """Robots at rest on their reference; of linear plants, all but the motion itself.
+class Unicycle(Plant):
+    """Wheeled robots that follow a reference; their parameters are in the section `robot`."""
 
-    A run takes at most `num_samples` control samples; `initial_delay_s` is in force until the
-    network has delivered something.
-    """
-    return RobotState(
-        lanes=np.zeros((num_envs, -(-num_robots // LANES), _END)),
-        history=np.zeros((num_envs, num_robots, num_samples + 1, num_states)),
-        commands=np.zeros((num_envs, num_robots, max_delay_steps + 1, num_inputs)),
-        held=np.zeros((num_envs, num_robots, 2), np.int64),
-        delay_s=np.full((num_envs, num_robots), initial_delay_s),
-        dexterity_index=np.full((num_envs, num_robots), initial_dexterity_index),
-        gain_delay_steps=np.zeros((num_envs, num_robots), np.uint32),
+    def sizes(self, scenario: Scenario) -> tuple[int, int, int]:
+        """As in `Plant`."""
+        return NUM_STATES, NUM_INPUTS, 5
+
+    def words(self, setup: Setup) -> UnicycleWords:
+        """As in `Model`."""
+        scenario, num_robots = setup.scenario, setup.scenario.users.num_urllc
+        robot, control, slot_s = scenario.robot, scenario.control, scenario.radio.slot_s
+        step_s = robot.substep_s
+        steps_per_slot = round(slot_s / step_s)
+        table, offset = robot_references(robot, setup.num_slots * steps_per_slot, num_robots)
+        decay = float(np.exp(-step_s / robot.actuator_lag_s))
+        slip_decay = float(np.exp(-slot_s / robot.slip_time_s))
+        slip_spread = float(np.sqrt(1.0 - slip_decay**2))
+        return UnicycleWords(
+            step_s=step_s,
+            steps_per_slot=steps_per_slot,
+            steps_per_sample=round(control.sampling_s / step_s),
+            steps_per_window=round(robot.window_s / step_s),
+            lag_decay=decay,
+            lag_mean=(1.0 - decay) * robot.actuator_lag_s / step_s,
+            slip_decay=slip_decay,
+            slip_gain_mps=robot.slip_speed_mps * slip_spread,
+            slip_gain_radps=robot.slip_turn_rate_radps * slip_spread,
+            noise_position_m=robot.noise_position_m,
+            noise_heading_rad=robot.noise_heading_rad,
+            max_speed_mps=robot.max_speed_mps,
+            max_turn_rate_radps=robot.max_turn_rate_radps,
+            path=table.rows(),
+            pose=table.pose,
+            offset=offset,
+            lanes=np.zeros((setup.num_envs, -(-num_robots // LANES), _END)),
+            memory=setup.loop_memory(NUM_STATES, NUM_INPUTS),
+            normals=normal_scratch(num_robots),
+            gathered=np.zeros(steps_per_slot * NUM_PATH * LANES),
+        )
+
+    def reset(self, words: UnicycleWords, keys: NDArray[np.uint64]) -> None:
+        """As in `Model`: robots at rest on their reference."""
+        words.lanes[...] = 0.0
+        forget(words.memory)
+
+
+def robot_references(
+    robot: Robot, num_steps: int, num_robots: int
+) -> tuple[ReferenceTable, NDArray[np.int64]]:
+    """Sample the reference of the robots and say where in it each of them starts."""
+    if robot.reference == "file":
+        points = np.array(robot.reference_points, dtype=np.float64)
+        return driven_table(
+            points[:, 0],
+            np.concatenate([[0.0], np.cumsum(arc_lengths(points))]),
+            points[0, 3] + np.concatenate([[0.0], np.cumsum(turns(points))]),
+            points[0, 1:3],
+            repeat=robot.reference_repeat,
+            step_s=robot.substep_s,
+            num_steps=num_steps,
+            num_robots=num_robots,
+        )
+    shape = PathShape(
+        arc_radius_m=robot.arc_radius_m,
+        eight_half_width_m=robot.eight_half_width_m,
+        zigzag_heading_rad=math.radians(robot.zigzag_heading_deg),
+        zigzag_period_m=robot.zigzag_period_m,
+    )
+    return reference_table(
+        robot.reference, shape, robot.speed_mps, robot.substep_s, num_steps, num_robots
     )
 
 
-def path_scratch(steps_per_slot: int) -> NDArray[np.float64]:
-    """Work array for the reference of one block of robots over one slot."""
-    return np.zeros(steps_per_slot * NUM_PATH * LANES)
-
-
-@njit(inline="always")
-def steps_of_delay(delay_s: float, sampling_s: float) -> int:
-    """T_d = ceil(D / h); a ratio within 1e-9 above an integer is that integer."""
-    return int(np.ceil(delay_s / sampling_s - 1e-9))
-
-
-@kernel(forceinline=True)
-def gather_path(
+@inner_kernel(forceinline=True)
+def _gather_path(
     path: NDArray[np.float64], place: int, steps: int, lane: int, gathered: NDArray[np.float64]
 ) -> None:
     """Put the reference of one robot for `steps` steps from `place` on into its lane."""
@@ -158,129 +182,80 @@ def gather_path(
             gathered[(step * NUM_PATH + field) * LANES + lane] = path[place + step, field]
 
 
-@kernel(forceinline=True)
-def start_slot(constants: RobotConstants, lanes: NDArray[np.float64]) -> None:
+@inner_kernel(forceinline=True)
+def _start_slot(me: UnicycleWords, lanes: NDArray[np.float64]) -> None:
     """Next slip of a block of robots from its normals; the slot's sum of squares starts at 0."""
     for lane in range(LANES):
         lanes[SLIP + lane] = (
-            constants.slip_decay * lanes[SLIP + lane]
-            + constants.slip_gain_mps * lanes[NORMALS + lane]
+            me.slip_decay * lanes[SLIP + lane]
+            + me.slip_gain_mps * lanes[NORMALS + lane]
         )
         lanes[SLIP + LANES + lane] = (
-            constants.slip_decay * lanes[SLIP + LANES + lane]
-            + constants.slip_gain_radps * lanes[NORMALS + LANES + lane]
+            me.slip_decay * lanes[SLIP + LANES + lane]
+            + me.slip_gain_radps * lanes[NORMALS + LANES + lane]
         )
         lanes[SLOT_SQUARE + lane] = 0.0
 
 
-@kernel()
-def hold_entry(delay_steps: int, hold_samples: int, held: NDArray[np.int64]) -> int:
-    """Entry of the tables in force: that of `control.hold_step`, whose state is `held` (2,)."""
-    if delay_steps >= held[0] or held[1] == 0:
-        held[0] = delay_steps
-        held[1] = hold_samples
-    else:
-        held[1] -= 1
-    return int(held[0])
-
-
-@kernel()
-def recall(gain: NDArray[np.float64], sample: int, commands: NDArray[np.float64]) -> float:
-    """Sum_i H_i u(k-1-i) of one input: gain (T_max, m), ring of commands (T_max + 1, m)."""
-    ring = commands.shape[0]
-    total = 0.0
-    for i in range(gain.shape[0]):
-        past = commands[(sample - 1 - i) % ring]
-        for j in range(gain.shape[1]):
-            total += gain[i, j] * past[j]
-    return total
-
-
-@njit(inline="always")
-def late_place(sample: int, delay_steps: int, num_places: int) -> int:
-    """Place of sample k - T_d among `num_places` = samples + 1 places of a run.
-
-    A delay that reaches behind the first sample finds a place that is not written yet: there the
-    robot stands on its reference.
-    """
-    return int((sample - min(delay_steps, num_places - 1)) % num_places)
-
-
-@kernel(forceinline=True)
-def close_loop(
-    constants: RobotConstants,
+@inner_kernel(forceinline=True)
+def _close_loop(
+    me: UnicycleWords,
+    loop: LoopConstants,
     sample: int,
     delay_steps: int,
     entry: int,
     lane: int,
     lanes: NDArray[np.float64],
-    history: NDArray[np.float64],
-    commands: NDArray[np.float64],
+    memory: tuple[NDArray[np.float64], NDArray[np.float64]],
 ) -> int:
-    """Measure one robot and set u(k) = -K_local x(k) - K_network x(k-T_d) - sum_i H_i u(k-1-i).
-
-    The gains are those of one entry of the tables.
+    """Measure one robot and set its commands (`feedback`), by one entry of the tables.
 
     Parameters
     ----------
-    constants
-        Gains, noise and limits.
+    me, loop
+        Noise and limits; gains.
     sample
         Index k of the control sample. Before the first sample the robot stood on its reference.
     delay_steps
         T_d: the newest measurement that has arrived is so many samples old.
     entry
         The delay whose gains are in force: T_d, at most T_max, or a longer one that is held.
-    lane
-        The robot's lane.
-    lanes
-        Its block; the last three normals are the measurement noise, the control is written.
-    history
-        Its measured states, shape (samples + 1, 5), zero where nothing is measured yet; that of
-        this sample is written.
-    commands
-        Its applied commands, shape (T_max + 1, 2); likewise, if the gains have a memory.
+    lane, lanes
+        The robot's lane in its block; the last three normals are the measurement noise, the control
+        is written.
+    memory
+        Its measured states, shape (samples + 1, 5), zero where nothing is measured yet, and its
+        applied commands, shape (T_max + 1, 2); those of this sample are written.
 
     Returns
     -------
     int
         1 if a command met its limit, else 0.
     """
+    history, commands = memory
     now = history[sample]
-    now[0] = lanes[STATE + lane] + constants.noise_position_m * lanes[NORMALS + 2 * LANES + lane]
-    now[1] = (
-        lanes[STATE + LANES + lane] + constants.noise_position_m * lanes[NORMALS + 3 * LANES + lane]
-    )
-    now[2] = (
-        lanes[STATE + 2 * LANES + lane]
-        + constants.noise_heading_rad * lanes[NORMALS + 4 * LANES + lane]
-    )
-    now[3] = lanes[STATE + 3 * LANES + lane]
-    now[4] = lanes[STATE + 4 * LANES + lane]
+    for j in range(NUM_STATES):
+        now[j] = lanes[STATE + j * LANES + lane]
+    now[0] += me.noise_position_m * lanes[NORMALS + 2 * LANES + lane]
+    now[1] += me.noise_position_m * lanes[NORMALS + 3 * LANES + lane]
+    now[2] += me.noise_heading_rad * lanes[NORMALS + 4 * LANES + lane]
     past = history[late_place(sample, delay_steps, history.shape[0])]
     saturated = 0
     for i in range(NUM_INPUTS):
-        network = constants.network_gain[entry, i]
-        local = constants.local_gain[entry, i]
-        command = 0.0
-        for j in range(NUM_STATES):
-            command -= network[j] * past[j] + local[j] * now[j]
-        if constants.has_memory:
-            command -= recall(constants.input_gain[entry, :, i], sample, commands)
-        limit = constants.max_speed_mps if i == 0 else constants.max_turn_rate_radps
+        command = feedback(loop, entry, i, past, now, sample, commands)
+        limit = me.max_speed_mps if i == 0 else me.max_turn_rate_radps
         if abs(command) > limit:
             command = limit if command > 0.0 else -limit
             saturated = 1
         lanes[CONTROL + i * LANES + lane] = command
-    if constants.has_memory:
-        ring = constants.max_delay_steps + 1
+    if loop.has_memory:
         for i in range(NUM_INPUTS):
-            commands[sample % ring, i] = lanes[CONTROL + i * LANES + lane]
+            commands[sample % commands.shape[0], i] = lanes[CONTROL + i * LANES + lane]
     return saturated
 
 
-@kernel(forceinline=True)
-def move_lanes(
+@inner_kernel(forceinline=True)
+def _move_lanes(
     step_s: float,
     lag_mean: float,
     lag_decay: float,
@@ -296,9 +271,9 @@ def move_lanes(
     Parameters
     ----------
     step_s, lag_mean, lag_decay
-        As in `RobotConstants`.
+        As in `UnicycleWords`.
     path
-        Reference of this step, shape (5 LANES,), from `gather_path`.
+        Reference of this step, shape (5 LANES,), from `_gather_path`.
     lanes
         The block, in place.
     """
@@ -337,3 +312,107 @@ def move_lanes(
         lanes[WINDOW_SUMS + lane] += square
         lanes[WINDOW_SUMS + LANES + lane] += abs(e_theta)
         lanes[WINDOW_SUMS + 2 * LANES + lane] += curvature
+
+
+@DRIVE.kernel(UnicycleWords)
+def drive_unicycles(me: UnicycleWords, constants: Any, state: Any, slot: Any, env: int) -> None:
+    """Move all robots of a world through the slot."""
+    draw_normals(state.key[env], state.slot[env], me.normals, slot.robot_normal)
+    num_robots = slot.delay_steps.shape[0]
+    first = state.slot[env] * me.steps_per_slot
+    last = first + me.steps_per_slot
+    for block in range(me.lanes.shape[1]):
+        lanes = me.lanes[env, block]
+        begin = block * LANES
+        count = min(LANES, num_robots - begin)
+        for lane in range(count):
+            normals = slot.robot_normal[begin + lane]
+            for j in range(5):
+                lanes[NORMALS + j * LANES + lane] = np.float64(normals[j])
+            place = me.offset[begin + lane] + first
+            _gather_path(me.path, place, me.steps_per_slot, lane, me.gathered)
+        _start_slot(me, lanes)
+        for step in range(first, last):
+            if step % me.steps_per_sample == 0:
+                _sample(me, constants.loop, state, slot, env, step // me.steps_per_sample, block)
+            of_step = (step - first) * NUM_PATH * LANES
+            _move_lanes(
+                me.step_s,
+                me.lag_mean,
+                me.lag_decay,
+                me.gathered[of_step : of_step + NUM_PATH * LANES],
+                lanes,
+            )
+            if (step + 1) % me.steps_per_window == 0:
+                _end_window(me.steps_per_window, lanes, state.dexterity_index[env, begin:])
+        for lane in range(count):
+            _record_robot(me, lanes, lane, last, slot, begin + lane)
+            robot = begin + lane
+            slot.gain_delay_steps[robot] = state.gain_delay_steps[env, robot]
+            for j in range(NUM_STATES):
+                state.robot_state[env, robot, j] = slot.state[robot, j]
+
+
+@inner_kernel(forceinline=True)
+def _sample(
+    me: UnicycleWords,
+    loop: LoopConstants,
+    state: Any,
+    slot: Any,
+    env: int,
+    sample: int,
+    block: int,
+) -> None:
+    """Close the loops of one block of robots at a control sample."""
+    begin = block * LANES
+    for lane in range(min(LANES, slot.delay_steps.shape[0] - begin)):
+        robot = begin + lane
+        delay_steps = int(slot.delay_steps[robot])
+        entry = entry_in_force(loop, delay_steps, me.memory.held[env, robot])
+        slot.control_saturated[robot] += _close_loop(
+            me,
+            loop,
+            sample,
+            delay_steps,
+            entry,
+            lane,
+            me.lanes[env, block],
+            (me.memory.history[env, robot], me.memory.commands[env, robot]),
+        )
+        state.gain_delay_steps[env, robot] = loop.adjusted_delay_steps[entry]
+
+
+@inner_kernel()
+def _end_window(
+    steps_per_window: int, lanes: NDArray[np.float64], dexterity_index: NDArray[np.float64]
+) -> None:
+    """Dexterity index of a block of robots, shape (robots from the block on,), and new sums."""
+    for lane in range(min(LANES, dexterity_index.shape[0])):
+        dexterity_index[lane] = window_index(
+            lanes[WINDOW_SUMS + lane],
+            lanes[WINDOW_SUMS + LANES + lane],
+            lanes[WINDOW_SUMS + 2 * LANES + lane],
+            steps_per_window,
+        )
+    for place in range(WINDOW_SUMS, WINDOW_SUMS + 3 * LANES):
+        lanes[place] = 0.0
+
+
+@inner_kernel(forceinline=True)
+def _record_robot(
+    me: UnicycleWords, lanes: NDArray[np.float64], lane: int, last: int, slot: Any, robot: int
+) -> None:
+    """Note where one robot stands after the slot's last step."""
+    slot.tracking_error_m[robot] = math.sqrt(lanes[SLOT_SQUARE + lane] / me.steps_per_slot)
+    body = slot.state[robot]
+    for j in range(NUM_STATES):
+        body[j] = lanes[STATE + j * LANES + lane]
+    place = me.offset[robot] + last
+    reference = slot.reference[robot]
+    pose = me.pose[place]
+    for j in range(3):
+        reference[j] = pose[j]
+    reference[3] = me.path[place - 1, 4]
+    reference[4] = me.path[place - 1, 0]
+    for i in range(NUM_INPUTS):
+        slot.control[robot, i] = lanes[CONTROL + i * LANES + lane]

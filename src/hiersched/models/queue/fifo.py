@@ -1,135 +1,135 @@
-"""All users' queues over one slot, with the exact first-in-first-out time of every packet.
+"""First in, first out: the exact time of every packet in its queue.
 
 Packets of slot t arrive at its start and are served as a fluid over the slot, the oldest first. The
-packet in service counts as waiting until its last bit is out.
+packet in service counts as waiting until its last bit is out. All counts are doubles: exact to
+2^53.
 """
 
 from __future__ import annotations
 
+from typing import Any, NamedTuple
+
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from hiersched.core.compiled import kernel
-
-LANES = 32
-"""Users side by side. A block of them is one flat array, field after field: with offsets that the
-compiler knows, it proves that fields do not overlap, and uses whole vectors. All values are
-doubles, counts too: they are exact to 2^53."""
-
-(
-    BACKLOG,
-    ARRIVALS,
-    SERVICE,
-    WHOLE_DEADLINE,
-    LAST_FRACTION,
-    ARRIVED,
-    AFTER,
-    DONE,
-    COMPLETING,
-    HEAD,
-    ORIGIN,
-    DUE,
-    SOJOURN,
-    HOL_DELAY,
-    LATE,
-    NUM_QUEUE_LANES,
-) = (LANES * place for place in range(16))
+from hiersched.models.model import Model, Setup
+from hiersched.models.seams import SERVE
 
 
-@njit(inline="always")
-def set_deadline(lanes: NDArray[np.float64], lane: int, deadline_slots: float) -> None:
-    """Note one user's deadline in slots (any positive number)."""
-    whole = np.ceil(deadline_slots)
-    lanes[WHOLE_DEADLINE + lane] = whole
-    lanes[LAST_FRACTION + lane] = deadline_slots - (whole - 1.0)
+class FifoWords(NamedTuple):
+    """What the queues of U users remember.
+
+    `arrived` (E, T + 1, U): packets that arrived before each slot; `head` (E, U): slot in which the
+    oldest waiting packet arrived, or any earlier one (the coming slot if none waits).
+    """
+
+    arrived: NDArray[np.float64]
+    head: NDArray[np.int64]
 
 
-@kernel(forceinline=True)
-def serve_users(
+class Fifo(Model):
+    """One queue a user."""
+
+    def words(self, setup: Setup) -> FifoWords:
+        """As in `Model`."""
+        num_envs, num_users = setup.num_envs, setup.scenario.num_users
+        return FifoWords(
+            arrived=np.zeros((num_envs, setup.num_slots + 1, num_users)),
+            head=np.zeros((num_envs, num_users), np.int64),
+        )
+
+    def reset(self, words: FifoWords, keys: NDArray[np.uint64]) -> None:
+        """As in `Model`: empty queues."""
+        words.arrived[...] = 0.0
+        words.head[...] = 0
+
+
+@kernel()
+def serve_user(
     slot: int,
-    count: int,
-    lanes: NDArray[np.float64],
+    backlog: float,
+    arrivals: float,
+    service: float,
+    deadline_slots: float,
+    head: int,
     arrived: NDArray[np.float64],
-    head: NDArray[np.int64],
-) -> None:
-    """Serve a block of users for one slot.
+) -> tuple[float, float, float, float, float, int]:
+    """Serve one user for one slot.
 
     Parameters
     ----------
     slot
         Index t of the slot.
-    count
-        Users in the block, at most LANES.
-    lanes
-        Read: `BACKLOG` F(t), `ARRIVALS` A(t) and `SERVICE` mu(t), the offered service, in packets,
-        and the deadline from `set_deadline`. Written: `AFTER`, F(t+1) = max(0, F + A - mu);
-        `SOJOURN`, slots from arrival to completion of the last packet completed in this slot
-        (without one, the age of the oldest packet at the end of the slot; 0 for an empty queue);
-        `HOL_DELAY`, age in slots of the oldest waiting packet at the start of the next slot, 0 if
-        none waits; `DUE`, packets whose deadline fell into this slot, and `LATE`, how many of them
-        had not been completed by then.
-    arrived
-        Packets that arrived before each slot, shape (T + 1, count); row t + 1 is written.
+    backlog, arrivals, service
+        F(t), A(t) and mu(t), the offered service, in packets.
+    deadline_slots
+        Any positive number.
     head
-        Slot in which the oldest waiting packet arrived, or any earlier slot, shape (count,); moves
-        on (t + 1 if none waits).
+        As in `FifoWords`.
+    arrived
+        Packets that arrived before each slot, shape (T + 1,); entry t + 1 is written.
+
+    Returns
+    -------
+    after
+        F(t+1) = max(0, F + A - mu).
+    sojourn
+        Slots from arrival to completion of the last packet completed in this slot; without one, the
+        age of the oldest packet at the end of the slot, and 0 for an empty queue.
+    hol
+        Age in slots of the oldest waiting packet at the start of the next slot, 0 if none waits.
+    due, late
+        Packets whose deadline fell into this slot, and how many of them had not been completed by
+        then.
+    head
+        For the next slot.
     """
-    for user in range(count):
-        lanes[ARRIVED + user] = arrived[slot, user]
-    for lane in range(LANES):
-        backlog = lanes[BACKLOG + lane]
-        load = backlog + lanes[ARRIVALS + lane]
-        total = lanes[ARRIVED + lane] + lanes[ARRIVALS + lane]
-        after = max(0.0, load - lanes[SERVICE + lane])
-        done = total - np.ceil(after)
-        lanes[COMPLETING + lane] = done - (lanes[ARRIVED + lane] - np.ceil(backlog))
-        lanes[ARRIVED + lane] = total
-        lanes[AFTER + lane] = after
-        lanes[DONE + lane] = done
-    for user in range(count):
-        arrived[slot + 1, user] = lanes[ARRIVED + user]
-    _find_packets(slot, count, lanes, arrived, head)
-    end = np.float64(slot) + 1.0
-    for lane in range(LANES):
-        service = lanes[SERVICE + lane]
-        load = lanes[BACKLOG + lane] + lanes[ARRIVALS + lane]
-        total = lanes[ARRIVED + lane]
-        done = lanes[DONE + lane]
-        hol = end - lanes[HOL_DELAY + lane] if total > done else 0.0
-        sojourn = (np.float64(slot) - lanes[HEAD + lane]) + (load - (total - done)) / service
-        lanes[SOJOURN + lane] = sojourn if lanes[COMPLETING + lane] > 0.0 else hol
-        lanes[HOL_DELAY + lane] = hol
-        left = max(0.0, load - lanes[LAST_FRACTION + lane] * service)
-        in_time = max(0.0, (total - np.ceil(left)) - lanes[ORIGIN + lane])
-        due = lanes[DUE + lane]
-        lanes[LATE + lane] = due - min(due, in_time)
+    before, load = arrived[slot], backlog + arrivals
+    total = before + arrivals
+    after = max(0.0, load - service)
+    done = total - np.ceil(after)
+    arrived[slot + 1] = total
+    # Completed packets are whole: the slot of the last one, and that of the oldest one waiting.
+    at = head
+    while arrived[at + 1] < done:
+        at += 1
+    last = at
+    while at <= slot and arrived[at + 1] <= done:
+        at += 1
+    hol = np.float64(slot) + 1.0 - np.float64(at) if total > done else 0.0
+    sojourn = hol
+    if done > before - np.ceil(backlog):
+        # The fluid reaches the end of that packet after the work that lies before it.
+        sojourn = (np.float64(slot) - np.float64(last)) + (load - (total - done)) / service
+    due = late = 0.0
+    whole = np.ceil(deadline_slots)
+    origin = slot + 1 - np.int64(whole)
+    if origin >= 0:
+        # A deadline within the slot: what is left when it falls.
+        left = max(0.0, load - (deadline_slots - (whole - 1.0)) * service)
+        due = arrived[origin + 1] - arrived[origin]
+        in_time = max(0.0, (total - np.ceil(left)) - arrived[origin])
+        late = due - min(due, in_time)
+    return after, sojourn, hol, due, late, at
 
 
-@kernel(forceinline=True)
-def _find_packets(
-    slot: int,
-    count: int,
-    lanes: NDArray[np.float64],
-    arrived: NDArray[np.float64],
-    head: NDArray[np.int64],
-) -> None:
-    """Find the slots in which the packets arrived that matter now.
-
-    `HEAD` becomes that of the last packet completed, `HOL_DELAY` that of the oldest waiting one;
-    `DUE` packets have their deadline in this slot, `ORIGIN` came before them.
-    """
-    for user in range(count):
-        done = lanes[DONE + user]
-        at = head[user]
-        while arrived[at + 1, user] < done:
-            at += 1
-        lanes[HEAD + user] = np.float64(at)
-        while at <= slot and arrived[at + 1, user] <= done:
-            at += 1
-        lanes[HOL_DELAY + user] = np.float64(at)
-        head[user] = at
-        origin = slot + 1 - np.int64(lanes[WHOLE_DEADLINE + user])
-        before = arrived[origin, user] if origin >= 0 else 0.0
-        lanes[ORIGIN + user] = before
-        lanes[DUE + user] = arrived[origin + 1, user] - before if origin >= 0 else 0.0
+@SERVE.kernel(FifoWords)
+def serve(me: FifoWords, constants: Any, state: Any, slot: Any, env: int) -> None:
+    """Serve all users of a world."""
+    for user in range(slot.rate_mbps.shape[0]):
+        after, sojourn, hol, due, late, head = serve_user(
+            state.slot[env],
+            state.backlog_packets[env, user],
+            np.float64(slot.arrivals_packets[user]),
+            slot.service_packets[user],
+            constants.deadline_slots[user],
+            me.head[env, user],
+            me.arrived[env, :, user],
+        )
+        me.head[env, user] = head
+        state.backlog_packets[env, user] = after
+        state.hol_delay_s[env, user] = hol * constants.slot_s
+        slot.delay_s[user] = sojourn * constants.slot_s
+        slot.due_packets[user] = np.uint32(due)
+        slot.late_packets[user] = np.uint32(late)

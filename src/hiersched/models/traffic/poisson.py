@@ -1,13 +1,27 @@
-"""Arrivals: the Poisson quantile of a uniform; the uniform, not the count, is the world's."""
+"""Poisson arrivals in batches, whose mean falls with the rate: max(0, lambda_0 - alpha r).
+
+The uniform, not the count, is the world's: the Poisson quantile of it depends on the rate.
+"""
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.core.compiled import kernel
+from hiersched.allocation.objective import mean_arrivals
+from hiersched.core.compiled import inner_kernel, kernel
 from hiersched.core.numerics import exp_f64
-from hiersched.models.queue.fifo import LANES
+from hiersched.models.model import Arrivals, Belief, Setup
+from hiersched.models.seams import OFFER
+
+if TYPE_CHECKING:
+    from hiersched.scenario.schema import Scenario
+
+LANES = 32
+"""Users side by side. A block of them is one flat array, field after field: with offsets that the
+compiler knows, it proves that fields do not overlap, and uses whole vectors."""
 
 MAX_MEAN = 600.0
 """Largest mean of `poisson_quantiles`: exp(-mean) must stay a normal double."""
@@ -19,6 +33,68 @@ NEGLIGIBLE_TERM = 1e-17
 _RECIPROCAL = np.concatenate([[0.0], 1.0 / np.arange(1, 4096)])
 
 UNIFORM, MEAN, QUANTILE, _TERM, _SUM, NUM_ARRIVAL_LANES = (LANES * place for place in range(6))
+
+
+class PoissonWords(NamedTuple):
+    """Packets a batch; the belief of the base station, which is the truth here; work lanes."""
+
+    batch_packets: int
+    offered_mbps: NDArray[np.float64]
+    rate_sensitivity: NDArray[np.float64]
+    packets_per_mbps: NDArray[np.float64]
+    lanes: NDArray[np.float64]
+
+
+class Poisson(Arrivals):
+    """Batches of packets, Poisson a slot."""
+
+    batch_packets: int
+
+    def words(self, setup: Setup) -> PoissonWords:
+        """As in `Model`.
+
+        Raises
+        ------
+        ValueError
+            If a user's mean arrivals are beyond the Poisson quantile.
+        """
+        belief = self.belief(setup.scenario)
+        worst = belief.offered_mbps * belief.packets_per_mbps / self.batch_packets
+        if worst.max() > MAX_MEAN:
+            user = int(worst.argmax())
+            raise ValueError(
+                f"user {user}: up to {worst[user]:.6g} batches a slot on average; at most "
+                f"{MAX_MEAN:g} (lower traffic.load or the offered rate, or raise "
+                "traffic.packet_bits or batch_packets)"
+            )
+        return PoissonWords(
+            batch_packets=self.batch_packets,
+            offered_mbps=belief.offered_mbps,
+            rate_sensitivity=belief.rate_sensitivity,
+            packets_per_mbps=belief.packets_per_mbps,
+            lanes=np.zeros((-(-len(worst) // LANES), NUM_ARRIVAL_LANES)),
+        )
+
+
+@OFFER.kernel(PoissonWords)
+def offer_poisson(me: PoissonWords, constants: Any, state: Any, slot: Any, env: int) -> None:
+    """Arrivals of a world's slot at the rates that it was given."""
+    batch = np.float64(me.batch_packets)
+    num_users = slot.rate_mbps.shape[0]
+    for block in range(me.lanes.shape[0]):
+        lanes, begin = me.lanes[block], block * LANES
+        count = min(LANES, num_users - begin)
+        for lane in range(count):
+            user = begin + lane
+            rate = slot.rate_mbps[user]
+            offered, sensitivity = me.offered_mbps[user], me.rate_sensitivity[user]
+            mean = mean_arrivals(rate, offered, sensitivity, me.packets_per_mbps[user])
+            slot.arrival_clamped[user] = 1 if offered - sensitivity * rate < 0.0 else 0
+            lanes[UNIFORM + lane] = slot.arrival_uniform[user]
+            lanes[MEAN + lane] = mean / batch
+        poisson_quantiles(lanes)
+        for lane in range(count):
+            slot.arrivals_packets[begin + lane] = np.uint32(batch * lanes[QUANTILE + lane])
 
 
 @kernel(forceinline=True)

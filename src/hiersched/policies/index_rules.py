@@ -1,0 +1,322 @@
+"""The classical schedulers as weights, utilities or orders of the one allocator.
+
+Every rule reads what a base station knows at the start of a slot: backlog, head-of-line delay W,
+moving average rate and the channel, never the slot's arrivals. Sources: Kelly 1998 (pf), Jalali et
+al. 2000 (pf_average), Tassiulas and Ephremides 1992 (max_weight), Andrews et al. 2001 (m_lwdf),
+Rhee et al. 2003 (exp_pf), Sadiq et al. 2009 (log_rule), Neely 2010 (drift_plus_penalty).
+
+MaxWeight, M-LWDF, EXP/PF and LOG maximise the sum of w min(r, need): a user can use no more of a
+slot than its queue holds, and without the cap a rule that gives out many PRBs a slot goes on
+feeding queues that are empty already (Andrews and Zhang, IEEE/ACM Trans. Networking 19(2), 2011).
+
+EXP/PF gives URLLC users exp((a W - m) / (1 + sqrt m)) / R, m the mean a W of all URLLC users, those
+without a packet (W = 0) among them, and eMBB users 1 / R, as LTE-Sim does (Piro et al. 2011).
+LTE-Sim takes the mean over the users that have packets and cuts exponents below 0 to 0. Rhee et al.
+multiply the eMBB users' weight by an adaptive w(t) / M(t), M the mean number of waiting real-time
+packets, and w lowered by a step while a real-time packet waits too long, raised by a fraction of it
+otherwise. LOG is LTE-Sim's, ln(1.1 + 5 W / deadline) / R, for the users of both slices; Sadiq et
+al. have a factor b instead of 1 / R. docs/paper_notes.md (5a) says how much of this matters.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+
+from pydantic import Field
+
+from hiersched.models.model import STRICT, Setup
+from hiersched.policies.needs import NEEDS, expected_packets, expected_wait_s, need_mbps
+from hiersched.policies.registry import RULES, Rule
+from hiersched.policies.seams import INDEX
+
+if TYPE_CHECKING:
+    from hiersched.scenario.schema import Scenario
+
+Need = Literal["none", "backlog", "backlog_and_arrivals"]
+
+
+@RULES.model
+@dataclass(frozen=True, kw_only=True)
+class ProportionalFair(Rule):
+    """Maximise the sum of log r, the paper's baseline; no index."""
+
+    __pydantic_config__ = STRICT
+    model: Literal["pf"] = "pf"
+
+    @property
+    def allocation(self) -> str:
+        """As in `Rule`."""
+        return "log"
+
+
+@RULES.model
+@dataclass(frozen=True, kw_only=True)
+class DriftPlusPenalty(Rule):
+    """Minimise the slot's Lagrangian, with the arrivals at their mean; no index."""
+
+    __pydantic_config__ = STRICT
+    model: Literal["drift_plus_penalty"] = "drift_plus_penalty"
+
+    @property
+    def allocation(self) -> str:
+        """As in `Rule`."""
+        return "lagrangian"
+
+
+@RULES.model
+@dataclass(frozen=True, kw_only=True)
+class RoundRobin(Rule):
+    """PRBs go around the users; no index."""
+
+    __pydantic_config__ = STRICT
+    model: Literal["round_robin"] = "round_robin"
+
+    @property
+    def allocation(self) -> str:
+        """As in `Rule`."""
+        return "in_turn"
+
+
+@RULES.model
+@dataclass(frozen=True, kw_only=True)
+class MaxRate(Rule):
+    """Maximise the sum of r; no index."""
+
+    __pydantic_config__ = STRICT
+    model: Literal["max_rate"] = "max_rate"
+
+
+@RULES.model
+@dataclass(frozen=True, kw_only=True)
+class AverageProportionalFair(Rule):
+    """Maximise the sum of r / R, R the moving average: the textbook's PF."""
+
+    __pydantic_config__ = STRICT
+    model: Literal["pf_average"] = "pf_average"
+
+    def words(self, setup: Setup) -> AverageWords:
+        """As in `Model`."""
+        return AverageWords()
+
+
+class AverageWords(NamedTuple):
+    """No parameters."""
+
+    none: int = 0
+
+
+@INDEX.kernel(AverageWords)
+def index_pf_average(me: AverageWords, constants: Any, state: Any, slot: Any, env: int) -> None:
+    """1 / R."""
+    for user in range(state.index.shape[1]):
+        state.index[env, user] = 1.0 / state.average_rate_mbps[env, user]
+
+
+class _Capped(Rule):
+    """Maximises the sum of w min(r, need)."""
+
+    need: Need
+
+    @property
+    def allocation(self) -> str:
+        """As in `Rule`."""
+        return "linear" if self.need == "none" else "capped"
+
+
+@RULES.model
+@dataclass(frozen=True, kw_only=True)
+class MaxWeight(_Capped):
+    """w = F, the backlog."""
+
+    __pydantic_config__ = STRICT
+    model: Literal["max_weight"] = "max_weight"
+    need: Need = "backlog_and_arrivals"
+
+    @classmethod
+    def standard(cls, scenario: Scenario) -> MaxWeight:
+        """As in `Rule`."""
+        return cls(need=scenario.schedulers.max_weight_need)
+
+    def words(self, setup: Setup) -> MaxWeightWords:
+        """As in `Model`."""
+        return MaxWeightWords(NEEDS[self.need])
+
+
+class MaxWeightWords(NamedTuple):
+    """Code of `NEEDS`."""
+
+    need: int
+
+
+@INDEX.kernel(MaxWeightWords)
+def index_max_weight(me: MaxWeightWords, constants: Any, state: Any, slot: Any, env: int) -> None:
+    """F."""
+    for user in range(state.index.shape[1]):
+        packets = expected_packets(constants, state, env, user, me.need)
+        state.need_mbps[env, user] = need_mbps(constants, state, env, user, packets)
+        state.index[env, user] = packets
+
+
+@RULES.model
+@dataclass(frozen=True, kw_only=True)
+class LargestWeightedDelayFirst(_Capped):
+    """M-LWDF: w = -log10(delta) / D W / R, delta the admitted late share, D the deadline."""
+
+    __pydantic_config__ = STRICT
+    model: Literal["m_lwdf"] = "m_lwdf"
+    need: Need = "backlog"
+
+    @classmethod
+    def standard(cls, scenario: Scenario) -> LargestWeightedDelayFirst:
+        """As in `Rule`."""
+        return cls(need=scenario.schedulers.m_lwdf_need)
+
+    def words(self, setup: Setup) -> DelayFirstWords:
+        """As in `Model`."""
+        return DelayFirstWords(NEEDS[self.need])
+
+
+class DelayFirstWords(NamedTuple):
+    """Code of `NEEDS`."""
+
+    need: int
+
+
+@INDEX.kernel(DelayFirstWords)
+def index_m_lwdf(me: DelayFirstWords, constants: Any, state: Any, slot: Any, env: int) -> None:
+    """-log10(delta) / D W / R."""
+    for user in range(state.index.shape[1]):
+        packets = expected_packets(constants, state, env, user, me.need)
+        wait_s = expected_wait_s(constants, state, env, user, me.need)
+        state.need_mbps[env, user] = need_mbps(constants, state, env, user, packets)
+        urgency = -math.log10(constants.late_share[user]) / constants.deadline_s[user] * wait_s
+        state.index[env, user] = urgency / state.average_rate_mbps[env, user]
+
+
+@RULES.model
+@dataclass(frozen=True, kw_only=True)
+class LogRule(_Capped):
+    """LOG: w = ln(c + a W / D) / R."""
+
+    __pydantic_config__ = STRICT
+    model: Literal["log_rule"] = "log_rule"
+    need: Need = "backlog_and_arrivals"
+    offset: Annotated[float, Field(ge=1)] = 1.1
+    gain: Annotated[float, Field(gt=0)] = 5.0
+
+    @classmethod
+    def standard(cls, scenario: Scenario) -> LogRule:
+        """As in `Rule`."""
+        constants = scenario.schedulers
+        return cls(
+            need=constants.log_rule_need,
+            offset=constants.log_rule_offset,
+            gain=constants.log_rule_gain,
+        )
+
+    def words(self, setup: Setup) -> LogWords:
+        """As in `Model`."""
+        return LogWords(NEEDS[self.need], self.offset, self.gain)
+
+
+class LogWords(NamedTuple):
+    """Code of `NEEDS`, c and a."""
+
+    need: int
+    offset: float
+    gain: float
+
+
+@INDEX.kernel(LogWords)
+def index_log_rule(me: LogWords, constants: Any, state: Any, slot: Any, env: int) -> None:
+    """ln(c + a W / D) / R."""
+    for user in range(state.index.shape[1]):
+        packets = expected_packets(constants, state, env, user, me.need)
+        wait_s = expected_wait_s(constants, state, env, user, me.need)
+        state.need_mbps[env, user] = need_mbps(constants, state, env, user, packets)
+        urgency = math.log(me.offset + me.gain * wait_s / constants.deadline_s[user])
+        state.index[env, user] = urgency / state.average_rate_mbps[env, user]
+
+
+@RULES.model
+@dataclass(frozen=True, kw_only=True)
+class ExponentialProportionalFair(_Capped):
+    """EXP/PF: exp((a W - m) / (1 + sqrt m)) / R for URLLC, m the mean a W; 1 / R for eMBB."""
+
+    __pydantic_config__ = STRICT
+    model: Literal["exp_pf"] = "exp_pf"
+    need: Need = "backlog_and_arrivals"
+
+    @classmethod
+    def standard(cls, scenario: Scenario) -> ExponentialProportionalFair:
+        """As in `Rule`."""
+        return cls(need=scenario.schedulers.exp_pf_need)
+
+    def words(self, setup: Setup) -> ExponentialWords:
+        """As in `Model`."""
+        return ExponentialWords(NEEDS[self.need])
+
+
+class ExponentialWords(NamedTuple):
+    """Code of `NEEDS`."""
+
+    need: int
+
+
+@INDEX.kernel(ExponentialWords)
+def index_exp_pf(me: ExponentialWords, constants: Any, state: Any, slot: Any, env: int) -> None:
+    """exp((a W - m) / (1 + sqrt m)) / R, or 1 / R."""
+    num_urllc = constants.num_urllc
+    index = state.index[env]
+    mean = 0.0
+    for user in range(index.shape[0]):
+        packets = expected_packets(constants, state, env, user, me.need)
+        state.need_mbps[env, user] = need_mbps(constants, state, env, user, packets)
+    for user in range(num_urllc):
+        a = -math.log10(constants.late_share[user]) / constants.deadline_s[user]
+        index[user] = a * expected_wait_s(constants, state, env, user, me.need)
+        mean += index[user] / num_urllc
+    largest = 0.0
+    for user in range(num_urllc):
+        index[user] = (index[user] - mean) / (1.0 + math.sqrt(mean))
+        largest = max(largest, index[user])
+    # The rule does not change when all weights are scaled: the largest exponent is taken out, so
+    # none overflows.
+    for user in range(index.shape[0]):
+        exponent = index[user] if user < num_urllc else 0.0
+        index[user] = math.exp(exponent - largest) / state.average_rate_mbps[env, user]
+
+
+@RULES.model
+@dataclass(frozen=True, kw_only=True)
+class EarliestDeadlineFirst(Rule):
+    """EDF: users in the order of D - W, each until its backlog is served."""
+
+    __pydantic_config__ = STRICT
+    model: Literal["edf"] = "edf"
+
+    @property
+    def allocation(self) -> str:
+        """As in `Rule`."""
+        return "by_urgency"
+
+    def words(self, setup: Setup) -> DeadlineWords:
+        """As in `Model`."""
+        return DeadlineWords()
+
+
+class DeadlineWords(NamedTuple):
+    """No parameters."""
+
+    none: int = 0
+
+
+@INDEX.kernel(DeadlineWords)
+def index_edf(me: DeadlineWords, constants: Any, state: Any, slot: Any, env: int) -> None:
+    """W - D, and the rate that empties the queue."""
+    for user in range(state.index.shape[1]):
+        packets = state.backlog_packets[env, user]
+        state.need_mbps[env, user] = need_mbps(constants, state, env, user, packets)
+        state.index[env, user] = state.hol_delay_s[env, user] - constants.deadline_s[user]

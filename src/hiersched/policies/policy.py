@@ -1,0 +1,97 @@
+"""What a policy is: from what a base station may know to weights, or to owners.
+
+There are three forms, all of which `Simulator.run` takes:
+
+- a `Rule`, compiled (`policies.registry`);
+- a `Weigher`, compiled: factors of a base rule's utilities, such as a trained network;
+- anything with `decide(view)`, in Python, called once a slot for all worlds.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hiersched.models.model import Setup
+
+
+class View(NamedTuple):
+    """What a base station may know at the start of a slot, in E worlds; read-only.
+
+    U users, URLLC first, R robots (one a URLLC user), K PRBs. There are no arrivals of the slot.
+
+    Attributes
+    ----------
+    slot
+        Index of the slot, shape (E,).
+    rate_mbps
+        Reported rate of each user on each PRB, shape (E, U, K).
+    backlog_packets, hol_delay_s
+        Queue, and wait of its oldest packet, shape (E, U).
+    average_rate_mbps, last_rate_mbps
+        Moving average, and rate of the slot before, shape (E, U).
+    multiplier
+        Of each URLLC user's delay constraint, shape (E, R).
+    dexterity_index
+        As last reported by the robots, shape (E, R).
+    """
+
+    slot: NDArray[np.int64]
+    rate_mbps: NDArray[np.float32]
+    backlog_packets: NDArray[np.float64]
+    hol_delay_s: NDArray[np.float64]
+    average_rate_mbps: NDArray[np.float64]
+    last_rate_mbps: NDArray[np.float64]
+    multiplier: NDArray[np.float64]
+    dexterity_index: NDArray[np.float64]
+
+
+class Weights(NamedTuple):
+    """Factors of the utilities of a rule, positive, shape (E, U)."""
+
+    values: NDArray[np.float64]
+    rule: str = "pf"
+
+
+class Owners(NamedTuple):
+    """Owner of each PRB, shape (E, K); every user owns one or more."""
+
+    prb_owner: NDArray[np.integer[Any]]
+
+
+@runtime_checkable
+class Policy(Protocol):
+    """A policy in Python."""
+
+    def decide(self, view: View) -> Weights | Owners:
+        """Decide the coming slot of all worlds."""
+        ...
+
+
+class Weigher:
+    """A compiled policy that weighs the users of a base rule.
+
+    Its words have a kernel of the seam `policies.seams.WEIGH`.
+
+    Attributes
+    ----------
+    rule
+        Name of the base rule.
+    multipliers
+        Of each URLLC user's delay constraint, shape (R,), as long as the policy runs.
+    """
+
+    rule: str
+    multipliers: NDArray[np.float64]
+
+    def words(self, setup: Setup) -> Any:
+        """Return the NamedTuple that its kernel gets."""
+        raise NotImplementedError
+
+
+class LoggedDecisions(NamedTuple):
+    """The decisions of a log: owners, shape (E, T, K), of the coming T slots."""
+
+    prb_owner: NDArray[np.uint32]

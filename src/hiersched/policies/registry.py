@@ -1,0 +1,37 @@
+"""Policies by name: compiled rules, and what a scenario adds to them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, TypeVar
+
+from hiersched.core.registry import Registry
+from hiersched.models.model import Model, Section
+
+if TYPE_CHECKING:
+    from hiersched.scenario.schema import Scenario
+
+R = TypeVar("R", bound="Rule")
+
+
+class Rule(Model):
+    """A compiled scheduler: an allocation, and the kernel of its index where it has one.
+
+    Its words have a kernel of the seam `policies.seams.INDEX`; with the allocation ``own`` one of
+    `ALLOCATE` instead, and with ``log`` and ``lagrangian`` it needs none.
+    """
+
+    @property
+    def allocation(self) -> str:
+        """What the weights are of: one of `allocation.allocate.ALLOCATIONS`, or ``own``."""
+        return "linear"
+
+    @classmethod
+    def standard(cls: type[R], scenario: Scenario) -> R:
+        """Return the rule as it runs under its own name, by the scenario's `schedulers`."""
+        return cls()
+
+
+RULES = Section("policies.*", Rule)
+"""Compiled schedulers by the name in their `model: Literal["name"]`."""
+
+__all__ = ["RULES", "Registry", "Rule"]

@@ -1,0 +1,27 @@
+"""The seams of a decision: what a policy computes from what a base station may know.
+
+Kernels are `kernel(me, constants, state, slot, env)`. They read `state` at the start of the slot
+(reported rates, backlog, waits, averages, the robots' dexterity) and never the slot's arrivals.
+"""
+
+from __future__ import annotations
+
+from hiersched.core.seam import Seam
+
+INDEX = Seam(
+    "index of a rule",
+    reads="state.reported_rate_mbps, backlog_packets, hol_delay_s, average_rate_mbps, rate_mbps "
+    "(of the last slot), dexterity_index, of world env",
+    writes="state.index[env] (U,): weights of the utilities, or urgencies; state.need_mbps[env] "
+    "(U,) where the rule is capped or goes by urgency",
+)
+WEIGH = Seam(
+    "weights of a policy",
+    reads="as the index; state.multiplier[env] (R,)",
+    writes="state.weight[env] (U,): factors of the base rule's utilities",
+)
+ALLOCATE = Seam(
+    "allocation of a rule",
+    reads="as the index",
+    writes="slot.prb_owner (K,): every user must get a PRB or more",
+)

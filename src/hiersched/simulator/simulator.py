@@ -1,0 +1,417 @@
+"""A batch of worlds, and how a policy runs in it."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import typeof, types
+from numpy.typing import NDArray
+
+from hiersched.allocation.allocate import ALLOCATIONS, AllocatorScratch, allocator_scratch
+from hiersched.core.pointer import Pointer
+from hiersched.core.seam import UNUSED, Plug, Seam, address_of
+from hiersched.models import seams
+from hiersched.models.model import Model, Setup
+from hiersched.policies.policy import LoggedDecisions, Owners, Policy, View, Weigher, Weights
+from hiersched.policies.registry import RULES, Rule
+from hiersched.policies.seams import ALLOCATE, INDEX, WEIGH
+from hiersched.scenario.schema import Scenario
+from hiersched.simulator.loop import (
+    BY_UTILITY,
+    IN_ORDER,
+    OWN,
+    Plugs,
+    draw_channels,
+    run_robots,
+    run_slots,
+)
+from hiersched.simulator.models import models_of, snr_of
+from hiersched.simulator.record import SlotLayout, SlotRecord
+from hiersched.simulator.setup import (
+    Gains,
+    SlotConstants,
+    SlotScratch,
+    SlotState,
+    reset_state,
+    slot_constants,
+    slot_state,
+    user_terms,
+)
+
+AnyPolicy = str | Rule | Weigher | Policy | LoggedDecisions
+"""Name of a rule, or a policy of one of the forms in `policies.policy`."""
+
+
+class _Prepared(NamedTuple):
+    """A compiled policy, ready for a simulator: its plugs, and what they lie in."""
+
+    plugs: Pointer
+    words: tuple[Pointer, ...]
+
+
+class Simulator:
+    """A batch of worlds that share one scenario.
+
+    Parameters
+    ----------
+    scenario
+        The validated scenario.
+    gains
+        Gain schedule of the robots.
+    keys
+        Worlds, shape (E,), from `randomness.world_key`.
+    num_slots
+        Slots until the horizon.
+
+    Attributes
+    ----------
+    constants, state
+        Of the slot loop; the state's arrays stay the same objects and move on.
+    models
+        The scenario's models by their place in the loop, and `words`, what each of them is made of.
+    view
+        What policies in Python are shown.
+
+    Raises
+    ------
+    ValueError
+        If gains and scenario do not fit.
+    """
+
+    def __init__(
+        self, scenario: Scenario, gains: Gains, keys: NDArray[np.uint64], num_slots: int
+    ) -> None:
+        self.scenario = scenario
+        self.num_slots = num_slots
+        self.setup = Setup(scenario=scenario, num_envs=len(keys), num_slots=num_slots)
+        self.models: dict[str, Model] = models_of(scenario)
+        self.words = {name: model.words(self.setup) for name, model in self.models.items()}
+        belief = self.models["arrivals"].belief(scenario)  # type: ignore[attr-defined]
+        self.constants: SlotConstants = slot_constants(scenario, gains, belief)
+        self.state: SlotState = slot_state(
+            self.setup, has_report=self.words["report"] is not None
+        )
+        self.view = _view(self.state)
+        self._layout = SlotLayout(
+            scenario.num_users,
+            scenario.users.num_urllc,
+            scenario.radio.num_prb,
+            scenario.robot_sizes,
+        )
+        one = self._layout.slot()
+        self._scratch = Pointer(SlotScratch(terms=user_terms(self.constants)))
+        self._allocator: AllocatorScratch = allocator_scratch(
+            scenario.num_users, scenario.radio.num_prb
+        )
+        self._constants, self._state = Pointer(self.constants), Pointer(self.state)
+        self._one, self._slot = Pointer(one), Pointer(one.fields)
+        self._plugged: list[Pointer] = []
+        self._plugs = self._plug_models()
+        self._no_owners = np.zeros((0, 0, 0), np.uint32)
+        self._prepared: dict[Hashable, _Prepared] = {}
+        self._bases: dict[str, Rule] = {}
+        self._entry: Any = None
+        self.reset(keys)
+
+    def _plug(self, seam: Seam, name: str) -> Plug:
+        """Plug a model into a seam; UNUSED where it has no kernel."""
+        words = self.words[name]
+        if words is None:
+            return UNUSED
+        plug, pointer = seam.plug(words, self._constants, self._state, self._slot)
+        self._plugged.append(pointer)
+        return plug
+
+    def _plug_models(self) -> Plugs:
+        return Plugs(
+            path_loss=self._plug(seams.MOVE_USERS, "path_loss"),
+            fading=self._plug(seams.DRAW_FADING, "fading"),
+            link=self._plug(seams.RATE_PRBS, "link"),
+            report=self._plug(seams.REPORT, "report"),
+            deliver=self._plug(seams.DELIVER, "link"),
+            arrivals=self._plug(seams.OFFER, "arrivals"),
+            queue=self._plug(seams.SERVE, "queue"),
+            plant=self._plug(seams.DRIVE, "plant"),
+        )
+
+    @property
+    def num_envs(self) -> int:
+        """Worlds in the batch."""
+        return self.setup.num_envs
+
+    @property
+    def slots_left(self) -> int:
+        """Slots until the horizon."""
+        return self.num_slots - int(self.state.slot.max())
+
+    def reset(self, keys: NDArray[np.uint64]) -> None:
+        """Start anew in the worlds `keys`, shape (E,).
+
+        Raises
+        ------
+        ValueError
+            If the number of worlds differs.
+        """
+        if len(keys) != self.num_envs:
+            raise ValueError(f"{len(keys)} worlds, must be {self.num_envs}")
+        keys = np.array(keys, np.uint64)
+        reset_state(self.state, self.scenario, keys)
+        for name, model in self.models.items():
+            if self.words[name] is not None:
+                model.reset(self.words[name], keys)
+        self.state.snr[:] = snr_of(self.scenario, self.models["path_loss"], keys)
+        draw_channels(Pointer(self._plugs), self._constants, self._state, self._slot)
+
+    def run(
+        self,
+        policy: AnyPolicy,
+        num_slots: int | None = None,
+        *,
+        weights: NDArray[np.float64] | None = None,
+        multipliers: NDArray[np.float64] | None = None,
+        record: SlotRecord | None = None,
+    ) -> SlotRecord:
+        """Run all worlds under a policy.
+
+        Parameters
+        ----------
+        policy
+            Name of a compiled rule, or a policy of any form.
+        num_slots
+            Slots to run; unless given those of the decisions or of the record, or up to the
+            horizon.
+        weights
+            Factors of the users' utilities under a rule, shape (E, U), held for all these slots; 1
+            unless given. Round robin and EDF have no utility and leave them unused.
+        multipliers
+            Multiplier of each URLLC user's delay constraint, shape (E, R); those of the policy
+            unless given, or 0.
+        record
+            Is filled and returned; a new one unless given.
+
+        Raises
+        ------
+        ValueError
+            On an unknown policy, weights that are not positive and finite, owners that are not
+            there or leave a user without a PRB, or slots beyond the horizon.
+        """
+        if isinstance(policy, str):
+            policy = self.rule(policy)
+        if num_slots is None:
+            num_slots = self._slots_of(policy, record)
+        self._set(policy, weights, multipliers)
+        record = self._record(num_slots, record)
+        if isinstance(policy, LoggedDecisions):
+            owners = self._owners(policy.prb_owner, num_slots)
+            self._call(self._prepare(None), owners, record)
+        elif isinstance(policy, Rule | Weigher):
+            self._call(self._prepare(policy), self._no_owners, record)
+        elif isinstance(policy, Policy):
+            self._by_slot(policy, record)
+        else:
+            raise ValueError(f"policy = {policy!r}: neither a rule nor has it `decide(view)`")
+        return record
+
+    def rule(self, name: str) -> Rule:
+        """Return a rule as it runs under its own name.
+
+        Raises
+        ------
+        ValueError
+            If there is none.
+        """
+        return RULES[name].standard(self.scenario)  # type: ignore[attr-defined]
+
+    def _slots_of(self, policy: AnyPolicy, record: SlotRecord | None) -> int:
+        if record is not None:
+            return int(record.prb_owner.shape[1])
+        if isinstance(policy, LoggedDecisions):
+            return int(policy.prb_owner.shape[1]) if policy.prb_owner.ndim == 3 else 0
+        return self.slots_left
+
+    def _set(
+        self,
+        policy: AnyPolicy,
+        weights: NDArray[np.float64] | None,
+        multipliers: NDArray[np.float64] | None,
+    ) -> None:
+        """Put weights and multipliers into the state."""
+        if weights is None:
+            self.state.weight[:] = 1.0
+        else:
+            self._set_weights(weights)
+        if multipliers is None:
+            multipliers = getattr(policy, "multipliers", None)
+        self.state.multiplier[:] = 0.0 if multipliers is None else multipliers
+
+    def _set_weights(self, weights: NDArray[np.float64]) -> None:
+        shape = self.state.weight.shape
+        # One comparison for each bound, false for NaN too.
+        if weights.shape != shape or not ((weights > 0.0) & (weights < np.inf)).all():
+            raise ValueError(f"weights: must be positive and finite, shape {shape}")
+        self.state.weight[:] = weights
+
+    def _record(self, num_slots: int, record: SlotRecord | None) -> SlotRecord:
+        if not 0 < num_slots <= self.slots_left:
+            raise ValueError(f"num_slots = {num_slots}: must be 1 to {self.slots_left}")
+        if record is None:
+            return self.new_record(num_slots)
+        if record.prb_owner.shape[:2] != (self.num_envs, num_slots):
+            raise ValueError(
+                f"record: {record.prb_owner.shape[:2]} environments and slots, must be "
+                f"{(self.num_envs, num_slots)}"
+            )
+        return record
+
+    def _owners(self, prb_owner: NDArray[Any], num_slots: int) -> NDArray[np.uint32]:
+        num_prb, num_users = self.scenario.radio.num_prb, self.scenario.num_users
+        if prb_owner.shape != (self.num_envs, num_slots, num_prb):
+            raise ValueError(
+                f"prb_owner: shape {prb_owner.shape}, must be "
+                f"({self.num_envs}, {num_slots}, {num_prb})"
+            )
+        held = (prb_owner[..., None] == np.arange(num_users)).any(axis=2)
+        if not held.all() or (prb_owner >= num_users).any():
+            raise ValueError(
+                f"prb_owner: every user 0 to {num_users - 1} must own a PRB, and nobody else"
+            )
+        return np.ascontiguousarray(prb_owner, dtype=np.uint32)
+
+    def _prepare(self, policy: Rule | Weigher | None) -> _Prepared:
+        """Compile a policy, or load it; once for this simulator. None: owners are given."""
+        if policy not in self._prepared:
+            plugs: dict[str, Any] = {}
+            kept: list[Pointer] = []
+            if policy is not None:
+                rule = self.rule(policy.rule) if isinstance(policy, Weigher) else policy
+                if rule.allocation == "own":
+                    plugs |= {"how": OWN, "allocate": self._plug_policy(ALLOCATE, rule, kept)}
+                else:
+                    plugs |= self._allocation(rule.allocation, kept)
+                    plugs["index"] = self._plug_policy(INDEX, rule, kept)
+                if isinstance(policy, Weigher):
+                    plugs["weigh"] = self._plug_policy(WEIGH, policy, kept)
+            pointer = Pointer(self._plugs._replace(**plugs))
+            self._prepared[policy] = _Prepared(pointer, tuple(kept))
+        return self._prepared[policy]
+
+    def _plug_policy(self, seam: Seam, policy: Rule | Weigher, kept: list[Pointer]) -> Plug:
+        words = policy.words(self.setup)
+        if words is None:
+            return UNUSED
+        plug, pointer = seam.plug(words, self._constants, self._state, self._slot)
+        kept.append(pointer)
+        return plug
+
+    def _allocation(self, name: str, kept: list[Pointer]) -> dict[str, Any]:
+        """Plugs of an allocation."""
+        allocation = ALLOCATIONS[name]
+        scratch = Pointer(getattr(self._allocator, allocation.scratch))
+        terms = Pointer(self._scratch.value.terms).kind
+        integer, real = types.int64, types.float64[::1]
+        kinds = (integer, integer, types.float32[:, ::1], real, real, terms, scratch.kind)
+        kept.append(scratch)
+        return {
+            "how": BY_UTILITY if allocation.has_utility else IN_ORDER,
+            "code": allocation.code,
+            "allocation": Plug(
+                address_of(allocation.kernel, (*kinds, types.uint32[::1])), scratch.address
+            ),
+        }
+
+    def _call(
+        self, prepared: _Prepared, owners: NDArray[np.uint32], record: SlotRecord
+    ) -> None:
+        """Run as many slots as the record has."""
+        arguments = (
+            prepared.plugs,
+            self._constants,
+            self._state,
+            self._scratch,
+            self._one,
+            owners,
+            record.rows,
+        )
+        if self._entry is None:
+            # The compiled function itself: a dispatcher looks at the type of every argument, which
+            # takes longer than a slot.
+            self._entry = run_slots.compile(tuple(map(typeof, arguments)))
+        self._entry(*arguments)
+
+    def _by_slot(self, policy: Policy, record: SlotRecord) -> None:
+        """Ask a policy in Python in every slot."""
+        one = self.new_record(1)
+        for slot in range(record.prb_owner.shape[1]):
+            decision = policy.decide(self.view)
+            if isinstance(decision, Weights):
+                self._set_weights(np.asarray(decision.values, np.float64))
+                self._call(self._prepare(self._base(decision.rule)), self._no_owners, one)
+            elif isinstance(decision, Owners):
+                owners = self._owners(np.asarray(decision.prb_owner)[:, None], 1)
+                self._call(self._prepare(None), owners, one)
+            else:
+                raise ValueError(
+                    f"{type(policy).__name__}.decide returned {type(decision).__name__}: must be "
+                    "Weights or Owners"
+                )
+            record.rows[:, slot] = one.rows[:, 0]
+
+    def _base(self, name: str) -> Rule:
+        if name not in self._bases:
+            self._bases[name] = self.rule(name)
+        return self._bases[name]
+
+    def run_robots(self, network_delay_s: NDArray[np.float64]) -> SlotRecord:
+        """Run the robots alone under forced network delays, shape (E, T, R).
+
+        What belongs to the network stays 0 in the record.
+
+        Raises
+        ------
+        ValueError
+            On delays of another shape, negative or not finite, or slots beyond the horizon.
+        """
+        record = self.new_record(network_delay_s.shape[1])
+        if network_delay_s.shape != record.network_delay_s.shape:
+            raise ValueError(
+                f"network_delay_s: shape {network_delay_s.shape}, must be "
+                f"{record.network_delay_s.shape}"
+            )
+        if not (np.isfinite(network_delay_s).all() and (network_delay_s >= 0).all()):
+            raise ValueError("network_delay_s: must be finite and not negative")
+        if network_delay_s.shape[1] > self.slots_left:
+            raise ValueError(
+                f"network_delay_s: {network_delay_s.shape[1]} slots, at most {self.slots_left}"
+            )
+        run_robots(
+            self._prepare(None).plugs,
+            self._constants,
+            self._state,
+            self._one,
+            np.ascontiguousarray(network_delay_s, np.float64),
+            record.rows,
+        )
+        return record
+
+    def new_record(self, num_slots: int) -> SlotRecord:
+        """Zeroed record for `num_slots` slots of all worlds."""
+        return self._layout.record(self.num_envs, num_slots)
+
+
+def _view(state: SlotState) -> View:
+    """Return what a policy in Python is shown, which it cannot write into."""
+    view = View(
+        slot=state.slot.view(),
+        rate_mbps=state.reported_rate_mbps.view(),
+        backlog_packets=state.backlog_packets.view(),
+        hol_delay_s=state.hol_delay_s.view(),
+        average_rate_mbps=state.average_rate_mbps.view(),
+        last_rate_mbps=state.rate_mbps.view(),
+        multiplier=state.multiplier.view(),
+        dexterity_index=state.dexterity_index.view(),
+    )
+    for values in view:
+        values.flags.writeable = False
+    return view
