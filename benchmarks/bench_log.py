@@ -39,8 +39,8 @@ from hiersched.log.schema import descriptor_set, topics_in
 from hiersched.runs import evaluate as stage
 from hiersched.runs import paths
 from hiersched.runs.gains import design_gains
-from hiersched.runs.learned import LearnedRunner
-from hiersched.runs.policies import PolicyRunner, run_classical
+from hiersched.runs.learned import learned_policies
+from hiersched.runs.policies import PolicySource, untrained_policies
 from hiersched.scenario import Scenario
 from hiersched.simulator import Simulator
 from hiersched.simulator.loop_gains import LoopGains, plant_of
@@ -172,7 +172,7 @@ def evaluation_seconds(scenario: Scenario, folder: Path) -> dict[str, tuple[floa
     seconds = {}
     evaluation = scenario.evaluate
     for policy in evaluation.policies:
-        group, run = "classical", run_classical
+        group, run = "classical", untrained_policies
         if policy in scenario.learned:
             group, run = policy, learned_runner(scenario, policy, folder)
         alone = replace(scenario, evaluate=replace(evaluation, policies=(policy,)))
@@ -181,7 +181,7 @@ def evaluation_seconds(scenario: Scenario, folder: Path) -> dict[str, tuple[floa
 
 
 def stage_seconds(
-    scenario: Scenario, folder: Path, group: str, run: PolicyRunner
+    scenario: Scenario, folder: Path, group: str, run: PolicySource
 ) -> tuple[float, float]:
     """CPU-seconds of one call of the stage: all of it, and its calls of `write_log`."""
     logs: list[float] = []
@@ -198,11 +198,11 @@ def stage_seconds(
     return whole, sum(logs)
 
 
-def learned_runner(scenario: Scenario, learner: str, folder: Path) -> LearnedRunner:
+def learned_runner(scenario: Scenario, learner: str, folder: Path) -> learned_policies:
     """A policy of its own for every world, as after a training with so many seeds."""
     path = folder / f"{learner}.pt"
     some_policy(scenario, learner).save(path)
-    return LearnedRunner([path] * len(scenario.evaluate.seeds))
+    return learned_policies([path] * len(scenario.evaluate.seeds))
 
 
 def some_policy(scenario: Scenario, learner: str) -> Policy:

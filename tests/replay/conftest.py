@@ -14,8 +14,8 @@ from hiersched.runs.evaluate import evaluate
 from hiersched.runs.gain_study import gain_study
 from hiersched.runs.gains import design_gains
 from hiersched.runs.generalise import generalise
-from hiersched.runs.learned import LearnedRunner
-from hiersched.runs.policies import run_classical
+from hiersched.runs.learned import learned_policies
+from hiersched.runs.policies import untrained_policies
 from hiersched.runs.sweep import sweep
 from hiersched.runs.train import train_and_log
 from hiersched.runs.variants import gain_designs
@@ -61,9 +61,9 @@ def study(small: Scenario, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for learner in small.learned:
         train_and_log(small, learner, results, "code", show=False)
         files = paths.policy_files(small, learner)
-        learned[learner] = LearnedRunner([results / name for name in files])
+        learned[learner] = learned_policies([results / name for name in files])
     evaluate(small, results, "flat", learned["flat"])
-    for group, run in (("classical", run_classical), ("ddpg", learned["ddpg"])):
+    for group, run in (("classical", untrained_policies), ("ddpg", learned["ddpg"])):
         evaluate(small, results, group, run)
         for axis in ("rayleigh_scale", "reference"):
             sweep(small, results, axis, group, run)

@@ -16,9 +16,9 @@ from hiersched.replay.expand import expand
 from hiersched.replay.verify import verify
 from hiersched.runs import paths
 from hiersched.runs.evaluate import evaluate
-from hiersched.runs.learned import LearnedRunner
+from hiersched.runs.learned import learned_policies
 from hiersched.runs.logged import load_run
-from hiersched.runs.policies import run_classical
+from hiersched.runs.policies import untrained_policies
 from hiersched.runs.train import train_and_log
 from hiersched.scenario import Scenario
 
@@ -33,8 +33,8 @@ def otherwise(small: Scenario, study: Path, tmp_path_factory: pytest.TempPathFac
     log = replace(small.log, train_profile="full", evaluate_profile="compact")
     other = replace(small, log=log)
     train_and_log(other, "ddpg", results, "code", show=False)
-    learned = LearnedRunner([study / name for name in paths.policy_files(small, "ddpg")])
-    for group, run in (("classical", run_classical), ("ddpg", learned)):
+    learned = learned_policies([study / name for name in paths.policy_files(small, "ddpg")])
+    for group, run in (("classical", untrained_policies), ("ddpg", learned)):
         evaluate(other, results, group, run)
     return results
 

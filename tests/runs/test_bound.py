@@ -17,7 +17,7 @@ from hiersched.runs.evaluate import evaluate
 from hiersched.runs.exact import slot_terms
 from hiersched.runs.gains import load_gains
 from hiersched.runs.generalise import generalise
-from hiersched.runs.policies import run_classical, seed_worlds
+from hiersched.runs.policies import untrained_policies, seed_worlds
 from hiersched.runs.variants import cell_scenario, swept_policies
 from hiersched.scenario import Scenario, ScenarioError
 from hiersched.simulator import Simulator
@@ -31,7 +31,7 @@ def with_policies(scenario: Scenario, *policies: str) -> Scenario:
 @pytest.fixture
 def bound(tiny: Scenario, results: Path) -> list[dict[str, str]]:
     scenario = with_policies(tiny, "drift_plus_penalty", "pf", "exact")
-    evaluate(scenario, results, "classical", run_classical)
+    evaluate(scenario, results, "classical", untrained_policies)
     compute_bound(scenario, results, results / paths.BOUND)
     with (results / paths.BOUND).open(newline="") as file:
         return list(csv.DictReader(file))
@@ -73,7 +73,7 @@ def test_values_are_those_of_the_first_slot(tiny: Scenario, results: Path) -> No
     """Slot 0 from the simulator's own state: the optimum there, and what PF was worth."""
     scenario = with_policies(tiny, "pf")
     scenario = replace(scenario, evaluate=replace(scenario.evaluate, duration_s=0.01))
-    evaluate(scenario, results, "classical", run_classical)
+    evaluate(scenario, results, "classical", untrained_policies)
     compute_bound(scenario, results, results / paths.BOUND)
     with (results / paths.BOUND).open(newline="") as file:
         row = next(csv.DictReader(file))
@@ -108,7 +108,7 @@ def test_slots_of_small_logs_are_computed_again(
     texts = []
     for name in ("full", profile):
         scenario = replace(with_policies(tiny, "pf"), log=replace(tiny.log, evaluate_profile=name))
-        evaluate(scenario, results, "classical", run_classical)
+        evaluate(scenario, results, "classical", untrained_policies)
         compute_bound(scenario, results, results / paths.BOUND)
         texts.append((results / paths.BOUND).read_text())
     assert texts[0] == texts[1]
@@ -117,7 +117,7 @@ def test_slots_of_small_logs_are_computed_again(
 def test_only_slots_behind_the_warm_up_count(tiny: Scenario, results: Path) -> None:
     scenario = with_policies(tiny, "pf")
     scenario = replace(scenario, evaluate=replace(scenario.evaluate, warmup_s=0.05))
-    evaluate(scenario, results, "classical", run_classical)
+    evaluate(scenario, results, "classical", untrained_policies)
     compute_bound(scenario, results, results / paths.BOUND)
     with (results / paths.BOUND).open(newline="") as file:
         slots = {int(row["slot"]) for row in csv.DictReader(file)}
@@ -150,7 +150,7 @@ def test_a_cell_keeps_the_spread_of_the_loads_and_the_width_of_a_prb(tiny: Scena
 def test_logs_of_other_cells(tiny: Scenario, results: Path) -> None:
     study = replace(tiny.generalise, cells=((1, 3, 6), (3, 4, 9)), seeds=(41, 42), duration_s=0.05)
     scenario = replace(tiny, generalise=replace(study, policies=("pf", "edf")))
-    generalise(scenario, results, "classical", run_classical)
+    generalise(scenario, results, "classical", untrained_policies)
     names = paths.cell_logs(scenario, "classical")
     assert len(names) == 2 * 2 * 2
     for name in names:

@@ -18,7 +18,7 @@ from hiersched.runs.evaluate import evaluate
 from hiersched.runs.gain_points import GAIN_SWEEPS
 from hiersched.runs.gain_study import gain_study, gain_sweep
 from hiersched.runs.generalise import generalise
-from hiersched.runs.policies import run_classical
+from hiersched.runs.policies import untrained_policies
 from hiersched.runs.sweep import sweep
 from hiersched.scenario import Scenario
 
@@ -70,7 +70,7 @@ def undeclared(reads: set[str], values: dict[str, Any]) -> set[str]:
 
 
 def test_evaluation_reads_what_it_declares(tiny: Scenario, results: Path, reads: set[str]) -> None:
-    evaluate(tiny, results, "classical", run_classical)
+    evaluate(tiny, results, "classical", untrained_policies)
     values = spec.evaluate_values(tiny, "classical")
     assert undeclared(set(reads), values) == {"evaluate.policies"}  # "policies": those of the group
 
@@ -79,7 +79,7 @@ def test_evaluation_reads_what_it_declares(tiny: Scenario, results: Path, reads:
 def test_a_sweep_reads_what_it_declares(
     tiny: Scenario, results: Path, reads: set[str], axis: str
 ) -> None:
-    sweep(tiny, results, axis, "classical", run_classical)
+    sweep(tiny, results, axis, "classical", untrained_policies)
     values = spec.sweep_values(tiny, axis, "classical")
     # The swept key is read from the variant: its values are those of the axis.
     replaced = {
@@ -99,14 +99,14 @@ def test_cells_of_other_sizes_read_what_they_declare(
     tiny: Scenario, results: Path, reads: set[str]
 ) -> None:
     study = replace(tiny.generalise, cells=((1, 2, 4),), duration_s=0.05, seeds=(1,))
-    generalise(replace(tiny, generalise=study), results, "classical", run_classical)
+    generalise(replace(tiny, generalise=study), results, "classical", untrained_policies)
     values = spec.cell_values(tiny, "classical")
     assert undeclared(set(reads), values) == {"generalise.policies"}
 
 
 def test_the_bound_reads_what_it_declares(tiny: Scenario, results: Path, reads: set[str]) -> None:
     few = replace(tiny, evaluate=replace(tiny.evaluate, policies=("pf",), duration_s=0.05))
-    evaluate(few, results, "classical", run_classical)
+    evaluate(few, results, "classical", untrained_policies)
     reads.clear()
     compute_bound(few, results, results / paths.BOUND)
     assert undeclared(set(reads), spec.bound_values(tiny)) == set()

@@ -15,7 +15,7 @@ from hiersched.runs import paths
 from hiersched.runs import train as stage
 from hiersched.runs.evaluate import evaluate
 from hiersched.runs.gains import load_gains
-from hiersched.runs.learned import LearnedRunner
+from hiersched.runs.learned import learned_policies
 from hiersched.runs.policies import seed_worlds
 from hiersched.runs.train import train_and_log
 from hiersched.scenario import Scenario
@@ -161,7 +161,7 @@ def policies(tiny: Scenario, trained: Path, tmp_path: Path) -> list[Path]:
 def test_world_i_runs_the_policy_of_training_seed_i(
     tiny: Scenario, policies: list[Path], results: Path
 ) -> None:
-    evaluate(tiny, results, "ddpg", LearnedRunner(policies))
+    evaluate(tiny, results, "ddpg", learned_policies(policies))
     _, gains = load_gains(results / "gains/schedule.json", tiny)
     for index, seed in enumerate(tiny.evaluate.seeds):
         file = policies[index % 2]
@@ -177,6 +177,6 @@ def test_world_i_runs_the_policy_of_training_seed_i(
 
 
 def test_fewer_worlds_than_policies(tiny: Scenario, trained: Path) -> None:
-    runner = LearnedRunner([trained / name for name in paths.policy_files(tiny, "ddpg")])
+    runner = learned_policies([trained / name for name in paths.policy_files(tiny, "ddpg")])
     gains = LoopGains.memoryless(np.zeros((tiny.max_delay_steps + 1, 2, 5)))
     assert [run.seed for run in runner(tiny, gains, "ddpg", "evaluate", (5,), 2)] == [5]

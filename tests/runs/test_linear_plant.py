@@ -13,7 +13,7 @@ from hiersched.runs import paths
 from hiersched.runs.evaluate import evaluate
 from hiersched.runs.gains import design_gains
 from hiersched.runs.logged import load_run
-from hiersched.runs.policies import run_classical
+from hiersched.runs.policies import untrained_policies
 from hiersched.runs.variants import design_of, gain_designs, study_scenario
 from hiersched.scenario import Scenario, load_scenario
 
@@ -34,7 +34,7 @@ def pendulum(project_root: Path) -> Scenario:
 def test_its_log_is_computed_again_bit_for_bit(project_root: Path, tmp_path: Path) -> None:
     scenario = pendulum(project_root)
     design_gains(scenario, "schedule", tmp_path / paths.gain_file("schedule"))
-    evaluate(scenario, tmp_path, "classical", run_classical)
+    evaluate(scenario, tmp_path, "classical", untrained_policies)
     assert verify(load_run(tmp_path / "eval/pf/seed101.mcap")) is None
     path = tmp_path / "eval/pf/seed101_full.mcap"
     with LogReader(path) as log:

@@ -12,7 +12,7 @@ from hiersched.log import TOPICS, LogError, LogReader, LogWriter
 from hiersched.runs import paths
 from hiersched.runs.evaluate import evaluate
 from hiersched.runs.logged import load_run, read_slots
-from hiersched.runs.policies import run_classical
+from hiersched.runs.policies import untrained_policies
 from hiersched.scenario import Scenario
 
 ALL = [field.name for topic in TOPICS.values() for field in topic.fields_in("full")[1:]]
@@ -25,7 +25,7 @@ def evaluated(tiny: Scenario, results: Path, profile: str, **changes: object) ->
         evaluate=replace(tiny.evaluate, policies=("edf",), seeds=(11, 12), **changes),
         traffic=replace(tiny.traffic, load=1.2),
     )
-    evaluate(scenario, results, "classical", run_classical)
+    evaluate(scenario, results, "classical", untrained_policies)
     return scenario
 
 

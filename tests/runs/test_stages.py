@@ -15,7 +15,7 @@ from hiersched.runs import paths
 from hiersched.runs.evaluate import evaluate
 from hiersched.runs.gain_study import forced_delays, gain_study, gain_sweep
 from hiersched.runs.gains import design_gains, load_gains
-from hiersched.runs.policies import run_classical, seed_worlds
+from hiersched.runs.policies import untrained_policies, seed_worlds
 from hiersched.runs.sweep import sweep
 from hiersched.scenario import Scenario, load_scenario, scenario_sha256
 from hiersched.simulator import Simulator
@@ -28,7 +28,7 @@ def fields_of(path: Path) -> dict[str, np.ndarray]:
 
 def test_evaluation_logs_hold_what_one_world_computes(tiny: Scenario, results: Path) -> None:
     """The batch of worlds, cut apart and logged, is each world on its own."""
-    evaluate(tiny, results, "classical", run_classical)
+    evaluate(tiny, results, "classical", untrained_policies)
     _, gains = load_gains(results / "gains/schedule.json", tiny)
     for policy in ("pf", "edf"):
         for seed in tiny.evaluate.seeds:
@@ -45,7 +45,7 @@ def test_evaluation_logs_hold_what_one_world_computes(tiny: Scenario, results: P
 def test_a_log_says_what_it_is(
     tiny: Scenario, results: Path, project_root: Path, tmp_path: Path
 ) -> None:
-    evaluate(tiny, results, "classical", run_classical)
+    evaluate(tiny, results, "classical", untrained_policies)
     with LogReader(results / "eval/edf/seed12.mcap") as log:
         metadata, attachments, profile = log.metadata, log.attachments, log.profile
     assert profile == "full"
@@ -72,7 +72,7 @@ def test_logs_of_seeds_no_longer_asked_for_disappear(tiny: Scenario, results: Pa
     old = results / "eval/pf/seed99.mcap"
     old.parent.mkdir(parents=True)
     old.write_bytes(b"old")
-    evaluate(tiny, results, "classical", run_classical)
+    evaluate(tiny, results, "classical", untrained_policies)
     assert sorted(path.name for path in old.parent.iterdir()) == [
         "seed11.mcap",
         "seed12.mcap",
@@ -82,7 +82,7 @@ def test_logs_of_seeds_no_longer_asked_for_disappear(tiny: Scenario, results: Pa
 
 @pytest.mark.parametrize("axis", ["rayleigh_scale", "sampling_s", "reference", "load"])
 def test_a_sweep_writes_every_point(tiny: Scenario, results: Path, axis: str) -> None:
-    sweep(tiny, results, axis, "classical", run_classical)
+    sweep(tiny, results, axis, "classical", untrained_policies)
     for name in paths.sweep_logs(tiny, axis, "classical"):
         with LogReader(results / name) as log:
             assert log.num_slots == 10
@@ -92,7 +92,7 @@ def test_a_sweep_writes_every_point(tiny: Scenario, results: Path, axis: str) ->
 
 
 def test_the_fading_scale_of_a_sweep_scales_the_fading(tiny: Scenario, results: Path) -> None:
-    sweep(tiny, results, "rayleigh_scale", "classical", run_classical)
+    sweep(tiny, results, "rayleigh_scale", "classical", untrained_policies)
     half, one = (
         fields_of(results / f"sweep/rayleigh_scale/pf/{value}_seed21.mcap")["mean_fading_power"]
         for value in ("0.5", "1")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from hiersched.runs import paths
 from hiersched.runs.generalise import generalise
-from hiersched.runs.learned import LearnedRunner
+from hiersched.runs.learned import learned_policies
 from hiersched.scenario import load_scenario
 
 
@@ -17,7 +17,7 @@ def main() -> None:
     args = parser.parse_args()
     scenario = load_scenario(args.scenario)
     files = [args.results / name for name in paths.policy_files(scenario, args.learner)]
-    generalise(scenario, args.results, args.learner, LearnedRunner(files))
+    generalise(scenario, args.results, args.learner, learned_policies(files))
 
 
 if __name__ == "__main__":

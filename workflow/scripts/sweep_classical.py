@@ -3,7 +3,7 @@
 import argparse
 from pathlib import Path
 
-from hiersched.runs.policies import run_classical
+from hiersched.runs.policies import untrained_policies
 from hiersched.runs.sweep import sweep
 from hiersched.runs.variants import CLASSICAL_GROUP, SWEPT_KEYS
 from hiersched.scenario import load_scenario
@@ -16,7 +16,7 @@ def main() -> None:
     parser.add_argument("--axis", choices=list(SWEPT_KEYS), required=True)
     args = parser.parse_args()
     scenario = load_scenario(args.scenario)
-    sweep(scenario, args.results, args.axis, CLASSICAL_GROUP, run_classical)
+    sweep(scenario, args.results, args.axis, CLASSICAL_GROUP, untrained_policies)
 
 
 if __name__ == "__main__":

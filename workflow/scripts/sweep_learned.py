@@ -4,7 +4,7 @@ import argparse
 from pathlib import Path
 
 from hiersched.runs import paths
-from hiersched.runs.learned import LearnedRunner
+from hiersched.runs.learned import learned_policies
 from hiersched.runs.sweep import sweep
 from hiersched.runs.variants import SWEPT_KEYS
 from hiersched.scenario import load_scenario
@@ -19,7 +19,7 @@ def main() -> None:
     args = parser.parse_args()
     scenario = load_scenario(args.scenario)
     files = [args.results / name for name in paths.policy_files(scenario, args.learner)]
-    sweep(scenario, args.results, args.axis, args.learner, LearnedRunner(files))
+    sweep(scenario, args.results, args.axis, args.learner, learned_policies(files))
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ the rate is high enough (the paper prints the opposite sign: docs/paper_notes.md
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -30,6 +30,27 @@ class UserTerms(NamedTuple):
     multiplier: NDArray[np.float64]
     delay_exponent_per_mbps: float
     violation_share: float
+
+
+def user_terms(constants: Any) -> UserTerms:
+    """Terms of a slot's Lagrangian; backlogs, service offsets and multipliers are still 0.
+
+    `constants` are `simulator.SlotConstants`.
+    """
+    num_users = len(constants.offered_mbps)
+    return UserTerms(
+        backlog_packets=np.zeros(num_users),
+        offered_mbps=constants.offered_mbps,
+        rate_sensitivity=constants.rate_sensitivity,
+        arrival_packets_per_mbps=constants.arrival_packets_per_mbps,
+        service_offset_mbps=np.zeros(num_users),
+        service_packets_per_mbps=constants.service_packets_per_mbps,
+        penalty_weight=constants.penalty_weight,
+        epsilon=constants.epsilon,
+        multiplier=np.zeros(num_users),
+        delay_exponent_per_mbps=constants.delay_exponent_per_mbps,
+        violation_share=constants.violation_share,
+    )
 
 
 @njit(inline="always")

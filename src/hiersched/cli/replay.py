@@ -78,19 +78,19 @@ def _counterfactual(run: LoggedRun, policy: str, out: str | None) -> int:
     from hiersched.cli import InputError
     from hiersched.log import LogError, log_digest
     from hiersched.replay.compare import compare_logs
-    from hiersched.replay.counterfactual import find_policy, rerun
+    from hiersched.replay.counterfactual import policy_of, rerun
 
     try:
-        decider = find_policy(run, policy)
+        other = policy_of(run, policy)
     except ValueError as error:
         raise InputError(str(error)) from error
     if out and Path(out).exists():
         raise InputError(f"{out}: exists; a counterfactual never overwrites a file")
     with tempfile.TemporaryDirectory() as folder:
         target = Path(out) if out else Path(folder, "run.mcap")
-        rerun(run, decider, target)
+        rerun(run, other, target)
         if out:
-            print(f"{out}: {decider.name} in the world of {run.path}")
+            print(f"{out}: {other.name} in the world of {run.path}")
         if log_digest(target) == log_digest(run.path):
             print("every message is the same, bit for bit")
             return 0

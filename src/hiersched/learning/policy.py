@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hiersched.env.core import action_weights
-from hiersched.env.features import FEATURE_VERSION, FEATURES, num_features, user_features
-from hiersched.learning.networks import NETWORKS, Slices
-from hiersched.simulator import Simulator, SlotRecord
+from hiersched.models.model import Setup
+from hiersched.policies.features import FEATURE_VERSION, FEATURES
+from hiersched.policies.learned import FlatWords, SharedWords, network_words
+from hiersched.policies.policy import Weigher
 
 _FORMAT = 2
 
@@ -36,8 +36,8 @@ def single_thread() -> Iterator[None]:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Policy:
-    """Both actors of one seed after training.
+class TrainedPolicy(Weigher):
+    """Both actors of one seed after training; runs as a kernel, without noise.
 
     Attributes
     ----------
@@ -45,7 +45,7 @@ class Policy:
         Of the URLLC and the eMBB actor, shape (2, P), float32.
     network, hidden
         Which network (``shared`` or ``mlp``), and its hidden layers.
-    start
+    rule
         The scheduler whose utilities the weights multiply.
     observe_robots
         Whether the features of the robots are observed.
@@ -63,7 +63,7 @@ class Policy:
     parameters: NDArray[np.float32]
     network: str
     hidden: tuple[int, ...]
-    start: str
+    rule: str
     observe_robots: bool
     weight_exponent: float
     num_embb: int
@@ -72,35 +72,30 @@ class Policy:
     scenario_sha256: str
     feature_version: int = FEATURE_VERSION
 
-    def act(self, features: NDArray[np.float32]) -> NDArray[np.float64]:
-        """Weights, shape (E, U), from features (E, U, F); without noise.
-
-        The slices are told apart by the number of multipliers: one for each URLLC user.
+    def words(self, setup: Setup) -> SharedWords | FlatWords:
+        """As in `Weigher`.
 
         Raises
         ------
         ValueError
-            If an ``mlp`` was trained on other numbers of users.
+            If the policy is for other numbers of users.
         """
-        num_urllc = len(self.multipliers)
-        slices = Slices(num_urllc, features.shape[1] - num_urllc)
-        network = NETWORKS[self.network](slices, num_features(self.observe_robots), self.hidden)
-        if self.network == "mlp" and slices.num_embb != self.num_embb:
+        users = setup.scenario.users
+        mine, theirs = (len(self.multipliers), self.num_embb), (users.num_urllc, users.num_embb)
+        if mine != theirs:
             raise ValueError(
-                f"features of {slices.num_embb} eMBB users: must be of {self.num_embb}, on which "
-                "this mlp policy was trained"
+                f"policy for {mine[0]} URLLC and {mine[1]} eMBB users: must be for {theirs[0]} and "
+                f"{theirs[1]} (`for_users` takes it there)"
             )
-        with torch.no_grad():
-            inputs = network.inputs(torch.from_numpy(features).unsqueeze(0))
-            outputs = network.actor.forward(torch.from_numpy(self.parameters), inputs)
-            actions: NDArray[np.float32] = network.raw_actions(outputs, 1).tanh()[0].numpy()
-        return action_weights(actions, self.weight_exponent)
-
-    def observe(
-        self, simulator: Simulator, multipliers: NDArray[np.float64]
-    ) -> NDArray[np.float32]:
-        """Features (E, U, F) of this policy's kind, under multipliers (E, R)."""
-        return user_features(simulator, multipliers, observe_robots=self.observe_robots)
+        return network_words(
+            self.parameters,
+            self.network,
+            self.hidden,
+            observe_robots=self.observe_robots,
+            weight_exponent=self.weight_exponent,
+            num_urllc=users.num_urllc,
+            num_embb=users.num_embb,
+        )
 
     def save(self, path: str | Path) -> None:
         """Write the policy to `path`; the file appears whole or not at all."""
@@ -110,7 +105,7 @@ class Policy:
             "parameters": torch.from_numpy(self.parameters),
             "network": self.network,
             "hidden": list(self.hidden),
-            "start": self.start,
+            "start": self.rule,
             "observe_robots": self.observe_robots,
             "weight_exponent": self.weight_exponent,
             "num_embb": self.num_embb,
@@ -123,7 +118,7 @@ class Policy:
         os.replace(part, path)
 
     @classmethod
-    def load(cls, path: str | Path) -> Policy:
+    def load(cls, path: str | Path) -> TrainedPolicy:
         """Read a policy that `save` wrote.
 
         Raises
@@ -148,7 +143,7 @@ class Policy:
             parameters=saved["parameters"].numpy(),
             network=saved["network"],
             hidden=tuple(saved["hidden"]),
-            start=saved["start"],
+            rule=saved["start"],
             observe_robots=saved["observe_robots"],
             weight_exponent=saved["weight_exponent"],
             num_embb=saved["num_embb"],
@@ -158,78 +153,23 @@ class Policy:
             feature_version=saved["feature_version"],
         )
 
-    def for_users(self, num_urllc: int) -> Policy:
-        """Take the policy to `num_urllc` URLLC users: each observes the mean multiplier.
+    def for_users(self, num_urllc: int, num_embb: int) -> TrainedPolicy:
+        """Take the policy to other numbers of users: each URLLC user observes the mean multiplier.
 
         Raises
         ------
         ValueError
-            If it is an ``mlp`` of another number: its inputs are the users themselves.
+            If it is an ``mlp`` of other numbers: its inputs are the users themselves.
         """
-        if self.network == "mlp" and num_urllc != len(self.multipliers):
+        mine = len(self.multipliers), self.num_embb
+        if mine == (num_urllc, num_embb):
+            return self
+        if self.network == "mlp":
             raise ValueError(
-                f"num_urllc = {num_urllc}: must be {len(self.multipliers)}, on which this mlp "
-                "policy was trained (a shared one runs on any number)"
+                f"{num_urllc} URLLC and {num_embb} eMBB users: must be {mine[0]} and {mine[1]}, on "
+                "which this mlp policy was trained (a shared one runs on any number)"
             )
-        multipliers = np.full(num_urllc, self.multipliers.mean())
-        return Policy(**{**vars(self), "multipliers": multipliers})
-
-
-def rollout(
-    simulator: Simulator,
-    policy: Policy,
-    num_slots: int | None = None,
-    *,
-    record: SlotRecord | None = None,
-    on_slot: Callable[[int], None] | None = None,
-) -> SlotRecord:
-    """Run all worlds of a simulator under a policy, without noise and with its multipliers frozen.
-
-    Parameters
-    ----------
-    simulator
-        Worlds at any slot; they move on.
-    policy
-        What decides.
-    num_slots
-        Slots to run; up to the horizon unless given.
-    record
-        Record of `num_slots` slots to fill; a new one unless given.
-    on_slot
-        Is told after every slot how many are done.
-
-    Returns
-    -------
-    record
-        All slots of all worlds.
-
-    Raises
-    ------
-    ValueError
-        If the policy is for another number of URLLC users.
-    """
-    num_urllc = simulator.scenario.users.num_urllc
-    if len(policy.multipliers) != num_urllc:
-        raise ValueError(
-            f"policy for {len(policy.multipliers)} URLLC users: must be for {num_urllc} "
-            "(Policy.for_users takes it there)"
-        )
-    slots = simulator.slots_left if num_slots is None else num_slots
-    whole = simulator.new_record(slots) if record is None else record
-    multipliers = np.broadcast_to(
-        policy.multipliers, (simulator.num_envs, len(policy.multipliers))
-    ).copy()
-    one = simulator.new_record(1)
-    with single_thread():
-        for slot in range(slots):
-            weights = policy.act(policy.observe(simulator, multipliers))
-            simulator.run(policy.start, 1, weights=weights, multipliers=multipliers, record=one)
-            copy_slot(one, whole, slot)
-            if on_slot is not None:
-                on_slot(slot + 1)
-    return whole
-
-
-def copy_slot(one: SlotRecord, whole: SlotRecord, slot: int) -> None:
-    """Copy the only slot of `one` into slot `slot` of `whole`."""
-    whole.rows[:, slot] = one.rows[:, 0]
+        multipliers = self.multipliers
+        if num_urllc != len(multipliers):
+            multipliers = np.full(num_urllc, multipliers.mean())
+        return replace(self, multipliers=multipliers, num_embb=num_embb)

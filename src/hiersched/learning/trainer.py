@@ -20,7 +20,7 @@ from hiersched.learning.checkpoint import load_checkpoint, save_checkpoint
 from hiersched.learning.frozen import Frozen
 from hiersched.learning.multiplier import Multiplier, episode_constraint, step_multiplier
 from hiersched.learning.off_policy import Ddpg
-from hiersched.learning.policy import Policy, copy_slot, single_thread
+from hiersched.learning.policy import TrainedPolicy, single_thread
 from hiersched.learning.progress import ProgressFile, RoundSums
 from hiersched.learning.rewards import user_rewards
 from hiersched.scenario import Scenario, scenario_sha256
@@ -150,16 +150,16 @@ class Trainer:
         )
         self.multiplier = step_multiplier(self.multiplier, constraint, objective)
 
-    def policies(self) -> tuple[Policy, ...]:
+    def policies(self) -> tuple[TrainedPolicy, ...]:
         """Return the policies as they stand, one a seed."""
         learning = self.scenario.learning
         actors = self.algorithm.actor.numpy().reshape(self.num_seeds, 2, -1)
         sha256 = scenario_sha256(self.scenario)
         return tuple(
-            Policy(
+            TrainedPolicy(
                 parameters=actors[index].copy(),
                 network=learning.network,
-                start=learning.start,
+                rule=learning.start,
                 observe_robots=learning.observe_robots,
                 hidden=learning.hidden,
                 weight_exponent=learning.weight_exponent,
@@ -204,7 +204,7 @@ class _EpisodeBlocks:
 
     def add(self, one: SlotRecord, slot: int) -> None:
         if self._whole is not None:
-            copy_slot(one, self._whole, slot)
+            self._whole.rows[:, slot] = one.rows[:, 0]
 
     def hand_over(self) -> None:
         if self._on_slots is None or self._whole is None:
@@ -223,7 +223,7 @@ def train(
     progress: Path | None = None,
     checkpoint: Path | None = None,
     show: bool = True,
-) -> tuple[Policy, ...]:
+) -> tuple[TrainedPolicy, ...]:
     """Train all seeds of `scenario.learning` side by side on one thread.
 
     Parameters

@@ -320,3 +320,21 @@ def index_edf(me: DeadlineWords, constants: Any, state: Any, slot: Any, env: int
         packets = state.backlog_packets[env, user]
         state.need_mbps[env, user] = need_mbps(constants, state, env, user, packets)
         state.index[env, user] = state.hol_delay_s[env, user] - constants.deadline_s[user]
+
+
+CLASSICAL = (
+    "pf",
+    "pf_average",
+    "round_robin",
+    "max_rate",
+    "max_weight",
+    "m_lwdf",
+    "exp_pf",
+    "log_rule",
+    "edf",
+    "drift_plus_penalty",
+)
+"""The classical schedulers: rules of this module that run under their own name."""
+
+CAPPED = tuple(name for name in CLASSICAL if issubclass(RULES[name], _Capped))
+"""Rules that maximise a sum of weighted rates of which a user can use only so much."""

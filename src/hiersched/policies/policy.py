@@ -9,12 +9,16 @@ There are three forms, all of which `Simulator.run` takes:
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.models.model import Setup
+
+if TYPE_CHECKING:
+    from hiersched.simulator.setup import SlotConstants
 
 
 class View(NamedTuple):
@@ -36,6 +40,8 @@ class View(NamedTuple):
         Of each URLLC user's delay constraint, shape (E, R).
     dexterity_index
         As last reported by the robots, shape (E, R).
+    constants
+        Deadlines, slices, what is expected of the arrivals: `simulator.SlotConstants`.
     """
 
     slot: NDArray[np.int64]
@@ -46,6 +52,7 @@ class View(NamedTuple):
     last_rate_mbps: NDArray[np.float64]
     multiplier: NDArray[np.float64]
     dexterity_index: NDArray[np.float64]
+    constants: SlotConstants
 
 
 class Weights(NamedTuple):
@@ -89,6 +96,45 @@ class Weigher:
     def words(self, setup: Setup) -> Any:
         """Return the NamedTuple that its kernel gets."""
         raise NotImplementedError
+
+
+class FunctionPolicy:
+    """A Python function of a view as a policy.
+
+    Parameters
+    ----------
+    function
+        Takes a `View` and `parameters`; returns `Weights`, `Owners`, or factors of the utilities,
+        shape (E, U).
+    rule
+        Base rule of returned factors.
+    parameters
+        Further arguments.
+    """
+
+    def __init__(
+        self, function: Callable[..., Any], rule: str, parameters: Mapping[str, Any]
+    ) -> None:
+        self._function, self._rule, self._parameters = function, rule, dict(parameters)
+
+    def decide(self, view: View) -> Weights | Owners:
+        """As in `Policy`."""
+        decision = self._function(view, **self._parameters)
+        if isinstance(decision, np.ndarray):
+            return Weights(decision, self._rule)
+        return decision  # type: ignore[no-any-return]  # the simulator looks at it
+
+
+class LoggedWeights:
+    """The weights of a log, slot by slot: factors of a rule's utilities, shape (E, T, U)."""
+
+    def __init__(self, values: NDArray[np.float64], rule: str) -> None:
+        self._values, self._rule, self._slot = values, rule, 0
+
+    def decide(self, view: View) -> Weights:
+        """As in `Policy`."""
+        self._slot += 1
+        return Weights(self._values[:, self._slot - 1], self._rule)
 
 
 class LoggedDecisions(NamedTuple):

@@ -4,53 +4,32 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.log import LogError
-from hiersched.policies.rules import CLASSICAL
+from hiersched.policies.find import untrained_names
 from hiersched.runs.logged import LoggedRun
 from hiersched.runs.logging import RunLabel, log_block, open_log
-from hiersched.runs.policies import seed_worlds
-from hiersched.simulator import Simulator, SlotRecord
-
-if TYPE_CHECKING:
-    from hiersched.learning.policy import Policy
+from hiersched.runs.policies import RunnablePolicy, untrained_policies
+from hiersched.simulator import Simulator
+from hiersched.simulator.simulator import AnyPolicy
 
 _BATCH_SLOTS = 8192
-Run = Callable[[Simulator], SlotRecord]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Decider:
-    """A policy that is ready to run.
-
-    Attributes
-    ----------
-    name
-        For the metadata.
-    run
-        Runs all worlds of a simulator to the horizon.
-    metadata, attachments
-        What the log has to carry so that it can be run again.
-    batch_seeds
-        Seeds of the worlds that have to run side by side, ours among them: the bits of a matrix
-        product depend on the number of its rows. Empty: ours alone.
-    """
+class NamedPolicy(NamedTuple):
+    """A policy that is ready to run, and its name for the metadata."""
 
     name: str
-    run: Run
-    metadata: dict[str, str] = field(default_factory=dict)
-    attachments: dict[str, bytes] = field(default_factory=dict)
-    batch_seeds: tuple[int, ...] = ()
+    runnable: RunnablePolicy
 
 
-def find_policy(run: LoggedRun, policy: str) -> Decider:
+def policy_of(run: LoggedRun, policy: str) -> NamedPolicy:
     """Find a policy for the world of a log.
 
     Parameters
@@ -58,8 +37,8 @@ def find_policy(run: LoggedRun, policy: str) -> Decider:
     run
         The log's run.
     policy
-        Name of a classical scheduler, the name of the log's own learned policy, whose weights are
-        attached to it, or a file of weights.
+        Name of a policy that needs no training, the name of the log's own learned policy, whose
+        weights are attached to it, or a file of weights.
 
     Raises
     ------
@@ -70,19 +49,20 @@ def find_policy(run: LoggedRun, policy: str) -> Decider:
     """
     if run.stage == "gain_study":
         raise LogError(run.path, 0, "no policy decided in this log: its delays are forced")
-    if policy in CLASSICAL:
-        return Decider(name=policy, run=lambda simulator: simulator.run(policy))
+    names = untrained_names(run.scenario)
+    if policy in names:
+        return NamedPolicy(policy, *untrained_policies(run.scenario, policy))
     if Path(policy).is_file():
-        return _weights(run, Path(policy).read_bytes(), (run.seed,))
+        return _trained(run, Path(policy).read_bytes())
     if policy == run.policy:
         return _own_policy(run)
-    known = [*CLASSICAL, *([] if run.policy in CLASSICAL else [run.policy])]
+    known = [*names, *([] if run.policy in names else [run.policy])]
     raise ValueError(
         f"policy = {policy!r}: must be one of {', '.join(known)}, or a file of weights"
     )
 
 
-def _own_policy(run: LoggedRun) -> Decider:
+def _own_policy(run: LoggedRun) -> NamedPolicy:
     """Take the learned policy from the log."""
     if run.stage == "train":
         raise LogError(
@@ -92,41 +72,28 @@ def _own_policy(run: LoggedRun) -> Decider:
             "had any more; give a file of weights",
         )
     wanted = f"policy_seed{run.metadata.get('policy_seed')}.pt"
-    if wanted not in run.attachments or "batch_seeds" not in run.metadata:
+    if wanted not in run.attachments:
         raise LogError(
-            run.path, 0, f"it does not have the weights of {run.policy} (attachment {wanted}, "
-            "metadata batch_seeds)",
-        )  # fmt: skip
-    seeds = tuple(int(seed) for seed in run.metadata["batch_seeds"].split(","))
-    return _weights(run, run.attachments[wanted], seeds)
+            run.path, 0, f"it does not have the weights of {run.policy} (attachment {wanted})"
+        )
+    return _trained(run, run.attachments[wanted])
 
 
-def _weights(run: LoggedRun, weights: bytes, batch_seeds: tuple[int, ...]) -> Decider:
-    """Make a policy of its weights, taken to the scenario's number of URLLC users."""
-    from hiersched.learning.policy import Policy, rollout
+def _trained(run: LoggedRun, weights: bytes) -> NamedPolicy:
+    """Make a policy of its weights, taken to the scenario's numbers of users."""
+    from hiersched.learning.policy import TrainedPolicy
+    from hiersched.runs.learned import runnable
 
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "policy.pt")
         file.write_bytes(weights)
-        policy: Policy = Policy.load(file)
-    users = run.scenario.users
-    if len(policy.multipliers) != users.num_urllc:
-        policy = policy.for_users(users.num_urllc)
-    name = run.scenario.learning.algorithm if run.policy in CLASSICAL else run.policy
-    return Decider(
-        name=name,
-        run=lambda simulator: rollout(simulator, policy),
-        metadata={
-            "policy_seed": str(policy.seed),
-            "start": policy.start,
-            "batch_seeds": ",".join(map(str, batch_seeds)),
-        },
-        attachments={f"policy_seed{policy.seed}.pt": weights},
-        batch_seeds=batch_seeds,
-    )
+        policy = TrainedPolicy.load(file)
+    is_learned = run.policy not in untrained_names(run.scenario)
+    name = run.policy if is_learned else run.scenario.learning.algorithm
+    return NamedPolicy(name, runnable(policy, weights, run.scenario))
 
 
-def rerun(run: LoggedRun, decider: Decider, out: str | os.PathLike[str]) -> None:
+def rerun(run: LoggedRun, policy: NamedPolicy, out: str | os.PathLike[str]) -> None:
     """Run another policy in the world of a log, and log it as the stage would have.
 
     With the log's own policy the new log has the digest of the old one.
@@ -135,14 +102,14 @@ def rerun(run: LoggedRun, decider: Decider, out: str | os.PathLike[str]) -> None
     ----------
     run
         The log's run.
-    decider
-        From `find_policy`.
+    policy
+        From `policy_of`.
     out
         The log to be.
     """
     label = RunLabel(
         stage=run.stage,
-        policy=decider.name,
+        policy=policy.name,
         seed=run.seed,
         axis=run.metadata.get("axis", ""),
         value=run.metadata.get("value", ""),
@@ -156,25 +123,23 @@ def rerun(run: LoggedRun, decider: Decider, out: str | os.PathLike[str]) -> None
         profile=run.profile,
         metadata={
             **{key: run.metadata[key] for key in kept if key in run.metadata},
-            **decider.metadata,
+            **policy.runnable.metadata,
         },
-        attachments=decider.attachments,
+        attachments=policy.runnable.attachments,
     ) as writer:
-        for first, fields in _episodes(run, decider):
+        for first, fields in _episodes(run, policy.runnable.policy):
             log_block(writer, run.scenario, run.schedule, fields, first)
 
 
-def _episodes(run: LoggedRun, decider: Decider) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
+def _episodes(run: LoggedRun, policy: AnyPolicy) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
     """Run the episodes; yield the first slot of each and its fields (T, ...)."""
     if len(run.keys) == 1:
-        seeds = decider.batch_seeds or (run.seed,)
-        record = decider.run(_simulator(run, seed_worlds(run.stage, seeds), run.num_slots))
-        yield 0, record.environment(seeds.index(run.seed))
+        yield 0, _simulator(run, run.keys, run.num_slots).run(policy).environment(0)
         return
     at_once = max(1, _BATCH_SLOTS // run.episode_slots)
     for start in range(0, len(run.keys), at_once):
         keys = run.keys[start : start + at_once]
-        record = decider.run(_simulator(run, keys, run.episode_slots))
+        record = _simulator(run, keys, run.episode_slots).run(policy)
         for env in range(len(keys)):
             first = (start + env) * run.episode_slots
             count = min(run.episode_slots, run.num_slots - first)

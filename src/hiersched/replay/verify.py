@@ -10,12 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.log import TOPICS, LogReader
-from hiersched.policies.rules import CLASSICAL
+from hiersched.policies.find import find_policy, untrained_names
+from hiersched.policies.policy import LoggedDecisions, LoggedWeights
+from hiersched.policies.registry import Rule
 from hiersched.runs.events import slot_events
 from hiersched.runs.gain_study import delays_of_run
 from hiersched.runs.logged import Batch, LoggedRun
 from hiersched.runs.logging import logged_fields
 from hiersched.simulator import Simulator, SlotRecord
+from hiersched.simulator.simulator import AnyPolicy
 
 Fields = dict[str, NDArray[Any]]
 OnSlots = Callable[[Batch, SlotRecord], None]
@@ -123,21 +126,23 @@ def _compute(
     if run.stage == "gain_study":
         return simulator.run_robots(_forced_delays(run, batch))
     record = simulator.new_record(batch.num_slots)
-    if run.policy in CLASSICAL:
-        return simulator.run(run.policy, multipliers=multipliers, record=record)
-    if "weight" not in logged or np.isnan(logged["weight"]).any():
-        simulator.run_owners(logged["prb_owner"], multipliers=multipliers, record=record)
-        record.weight[...] = np.nan
-        return record
-    weights = logged["weight"].astype(np.float64)
-    one = simulator.new_record(1)
-    start = run.metadata.get("start", "pf")
-    for slot in range(weights.shape[1]):
-        now = weights[:, slot].copy()
-        simulator.run(start, weights=now, multipliers=multipliers, record=one)
-        for name in SlotRecord._fields:
-            getattr(record, name)[:, slot] = getattr(one, name)[:, 0]
+    policy = _decider(run, logged)
+    simulator.run(policy, multipliers=multipliers, record=record)
+    if isinstance(policy, LoggedDecisions):
+        # Weights did not decide: they are what the log has of them.
+        record.weight[...] = logged.get("weight", np.nan)
     return record
+
+
+def _decider(run: LoggedRun, logged: Fields) -> AnyPolicy:
+    """Return what decides again: a rule, or the decisions of the log."""
+    if run.policy in untrained_names(run.scenario):
+        policy = find_policy(run.scenario, run.policy)
+        if isinstance(policy, Rule):
+            return policy
+    if "start" not in run.metadata or np.isnan(logged.get("weight", np.nan)).any():
+        return LoggedDecisions(logged["prb_owner"])
+    return LoggedWeights(logged["weight"].astype(np.float64), run.metadata["start"])
 
 
 def _forced_delays(run: LoggedRun, batch: Batch) -> NDArray[np.float64]:
@@ -150,10 +155,9 @@ def _forced_delays(run: LoggedRun, batch: Batch) -> NDArray[np.float64]:
 def _start(run: LoggedRun, batch: Batch, logged: Fields) -> tuple[Simulator, NDArray[np.float64]]:
     """Episodes that begin, and their multipliers (E, R), which keep their first values."""
     keys = run.keys[batch.first_env : batch.first_env + batch.num_envs]
-    if run.policy in CLASSICAL or run.stage == "gain_study":
-        multipliers = np.zeros((len(keys), run.scenario.users.num_urllc))
-    else:
-        multipliers = logged["multiplier"][:, 0].copy()
+    multipliers = np.zeros((len(keys), run.scenario.users.num_urllc))
+    if "multiplier" in logged:
+        multipliers[:] = logged["multiplier"][:, 0]
     return Simulator(run.scenario, run.gains, keys, run.episode_slots), multipliers
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,21 +15,14 @@ from scipy.optimize import linear_sum_assignment
 from hiersched.allocation.exact import exact_allocation, lagrangian, owned_rates
 from hiersched.allocation.objective import UserTerms
 from hiersched.log import LogError
-from hiersched.models.channel.link_budget import prb_rates
-from hiersched.policies.rules import (
-    CLASSICAL,
-    DRIFT_PLUS_PENALTY,
-    SchedulerScratch,
-    schedule_slot,
-    scheduler_scratch,
-)
+from hiersched.policies.exact import slot_terms
+from hiersched.policies.index_rules import CLASSICAL
 from hiersched.runs import paths
-from hiersched.runs.exact import slot_terms
 from hiersched.runs.gains import load_gains
 from hiersched.runs.logged import read_slots
 from hiersched.runs.policies import seed_worlds
 from hiersched.scenario import Scenario
-from hiersched.simulator import Simulator, SlotConstants
+from hiersched.simulator import Simulator
 
 TIME_LIMIT_S = 20.0
 """Of one programme; the bound holds where it runs out."""
@@ -55,9 +48,6 @@ class Moment(NamedTuple):
 
     slot: int
     rate_mbps: NDArray[np.float32]
-    hol_delay_s: NDArray[np.float64]
-    average_rate_mbps: NDArray[np.float64]
-    last_rate_mbps: NDArray[np.float64]
     terms: UserTerms
     prb_owner: NDArray[np.uint32]
 
@@ -95,7 +85,7 @@ def compute_bound(scenario: Scenario, results: Path, output: Path) -> None:
             world = Simulator(scenario, gains, seed_worlds("evaluate", [seed]), 1)
             path = results / paths.evaluation_log(policy, seed)
             for moment in read_moments(path, world, scenario.bound.slots_per_log):
-                rows += _rows(moment, world.constants, {"policy": policy, "seed": seed})
+                rows += _rows(moment, world, {"policy": policy, "seed": seed})
         print(f"bound {policy}: {scenario.bound.slots_per_log} slots a world", flush=True)
     output.parent.mkdir(parents=True, exist_ok=True)
     text = io.StringIO()
@@ -108,7 +98,16 @@ def compute_bound(scenario: Scenario, results: Path, output: Path) -> None:
 
 
 def read_moments(path: Path, world: Simulator, count: int) -> Iterator[Moment]:
-    """Read evenly spaced slots behind the warm-up; `world` is the log's, for its path gains.
+    """Read evenly spaced slots behind the warm-up.
+
+    Parameters
+    ----------
+    path
+        A log.
+    world
+        Of the log's world, alone; stands in each moment as the scheduler met it.
+    count
+        How many slots.
 
     Raises
     ------
@@ -117,24 +116,30 @@ def read_moments(path: Path, world: Simulator, count: int) -> Iterator[Moment]:
     """
     run = read_slots(path, _SEEN)
     fields, warmup = run.fields, run.warmup_slots
-    fading = fields["fading_power"]
-    constants = world.constants
-    for slot in (warmup + sampled_slots(len(fading) - warmup, count)).tolist():
-        rate = np.zeros(fading.shape[1:], np.float32)
-        power = np.ascontiguousarray(fading[slot]).reshape(-1)
-        prb_rates(power, world.state.snr[0], constants.prb_bandwidth_mhz, rate.reshape(-1))
+    num_slots = len(fields["fading_power"])
+    for slot in (warmup + sampled_slots(num_slots - warmup, count)).tolist():
+        _stand(world, fields, slot)
+        rate = world.state.prb_rate_mbps[0].copy()
         owner = np.ascontiguousarray(fields["prb_owner"][slot])
         if not np.array_equal(owned_rates(rate, owner), fields["rate_mbps"][slot]):
             raise LogError(path, 0, f"slot {slot}: its rates do not follow from its channel")
         terms = slot_terms(
-            constants,
+            world.constants,
             fields["backlog_packets"][slot],
             fields["dexterity_index"][slot],
             fields["multiplier"][slot],
         )
-        hol, average = fields["hol_delay_s"][slot], fields["average_rate_mbps"][slot]
-        last = fields["rate_mbps"][slot - 1] if slot else np.zeros(len(hol))
-        yield Moment(slot, rate, np.array(hol), np.array(average), np.array(last), terms, owner)
+        yield Moment(slot, rate, terms, owner)
+
+
+def _stand(world: Simulator, fields: Mapping[str, NDArray[Any]], slot: int) -> None:
+    """Put a world into a slot of its log, as far as schedulers see it."""
+    state = world.state
+    state.slot[0] = slot
+    for name in ("backlog_packets", "average_rate_mbps", "hol_delay_s", "dexterity_index"):
+        getattr(state, name)[0] = fields[name][slot]
+    state.rate_mbps[0] = fields["rate_mbps"][slot - 1] if slot else 0.0
+    world.set_channel(fields["fading_power"][None, slot])
 
 
 def greedy_assignment(cost: NDArray[np.float64]) -> float:
@@ -155,18 +160,15 @@ def greedy_assignment(cost: NDArray[np.float64]) -> float:
     return total
 
 
-def _rows(
-    moment: Moment, constants: SlotConstants, labels: dict[str, Any]
-) -> Iterator[dict[str, Any]]:
+def _rows(moment: Moment, world: Simulator, labels: dict[str, Any]) -> Iterator[dict[str, Any]]:
     """Rows of one slot: the policy itself, the greedy rule, and others in states of reference."""
     terms = moment.terms
     best = exact_allocation(moment.rate_mbps, terms, time_limit_s=TIME_LIMIT_S)
-    scratch = scheduler_scratch(*moment.rate_mbps.shape)
     deciders = {labels["policy"]: moment.prb_owner}
-    asked = CLASSICAL if labels["policy"] == REFERENCE else {REFERENCE: DRIFT_PLUS_PENALTY}
-    for name, code in asked.items():
+    for name in CLASSICAL if labels["policy"] == REFERENCE else (REFERENCE,):
         if name not in deciders:
-            deciders[name] = _decide(code, moment, constants, scratch)
+            multipliers = terms.multiplier[: world.constants.num_urllc]
+            deciders[name] = world.decide(world.rule(name), multipliers)[0]
     for decider, owner in deciders.items():
         yield {
             **labels,
@@ -177,28 +179,6 @@ def _rows(
             "bound": best.bound,
             **_assignment(moment),
         }
-
-
-def _decide(
-    code: int, moment: Moment, constants: SlotConstants, scratch: SchedulerScratch
-) -> NDArray[np.uint32]:
-    """Return what a classical scheduler decides in a slot."""
-    num_users, num_prb = moment.rate_mbps.shape
-    owner = np.zeros(num_prb, np.uint32)
-    schedule_slot(
-        code,
-        moment.slot,
-        moment.rate_mbps,
-        np.ones(num_users),
-        moment.hol_delay_s,
-        moment.average_rate_mbps,
-        moment.last_rate_mbps,
-        moment.terms,
-        constants.rules,
-        scratch,
-        owner,
-    )
-    return owner
 
 
 def _value(rate_mbps: NDArray[np.float32], terms: UserTerms, owner: NDArray[np.uint32]) -> float:

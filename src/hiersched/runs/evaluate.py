@@ -7,12 +7,12 @@ from pathlib import Path
 from hiersched.runs import paths
 from hiersched.runs.gains import load_gains
 from hiersched.runs.logging import RunLabel, clear_logs, write_log
-from hiersched.runs.policies import PolicyRunner, world_slots
+from hiersched.runs.policies import PolicySource, run_worlds, world_slots
 from hiersched.runs.variants import group_policies
 from hiersched.scenario import Scenario
 
 
-def evaluate(scenario: Scenario, results: Path, group: str, run: PolicyRunner) -> None:
+def evaluate(scenario: Scenario, results: Path, group: str, source: PolicySource) -> None:
     """Run and log a group of policies; every policy runs in all worlds as one batch.
 
     The beginning of the first worlds is also logged in full: to look at, not to measure.
@@ -25,8 +25,8 @@ def evaluate(scenario: Scenario, results: Path, group: str, run: PolicyRunner) -
         Folder of the study; the scenario's gain schedule lies in it.
     group
         Which policies: one of `variants.policy_groups`.
-    run
-        How they are run.
+    source
+        Where they are found by name.
     """
     schedule, gains = load_gains(results / paths.gain_file("schedule"), scenario)
     evaluation, slot_s = scenario.evaluate, scenario.radio.slot_s
@@ -37,7 +37,9 @@ def evaluate(scenario: Scenario, results: Path, group: str, run: PolicyRunner) -
         files = {seed: results / paths.evaluation_log(policy, seed) for seed in seeds}
         full_files = {seed: results / name for seed, name in paths.full_logs(scenario, policy)}
         clear_logs(files[seeds[0]].parent, {*files.values(), *full_files.values()})
-        for world in run(scenario, gains, policy, "evaluate", seeds, num_slots):
+        for world in run_worlds(
+            scenario, gains, source(scenario, policy), "evaluate", seeds, num_slots
+        ):
             label = RunLabel(stage="evaluate", policy=policy, seed=world.seed)
             measured = world.after(warmup_slots)
             write_log(files[world.seed], scenario, schedule, label, measured, profile=profile)

@@ -7,12 +7,12 @@ from pathlib import Path
 from hiersched.runs import paths
 from hiersched.runs.gains import load_gains
 from hiersched.runs.logging import RunLabel, clear_logs, write_log
-from hiersched.runs.policies import PolicyRunner, world_slots
+from hiersched.runs.policies import PolicySource, run_worlds, world_slots
 from hiersched.runs.variants import cell_scenario, cell_text, group_policies
 from hiersched.scenario import Scenario
 
 
-def generalise(scenario: Scenario, results: Path, group: str, run: PolicyRunner) -> None:
+def generalise(scenario: Scenario, results: Path, group: str, source: PolicySource) -> None:
     """Run and log a group of policies in every cell.
 
     Parameters
@@ -23,8 +23,8 @@ def generalise(scenario: Scenario, results: Path, group: str, run: PolicyRunner)
         Folder of the study; the scenario's gain schedule lies in it.
     group
         Which policies: one of `variants.policy_groups`.
-    run
-        How they are run.
+    source
+        Where they are found by name.
     """
     seeds = scenario.generalise.seeds
     num_slots, warmup_slots = world_slots(scenario.generalise, scenario.radio.slot_s)
@@ -36,7 +36,9 @@ def generalise(scenario: Scenario, results: Path, group: str, run: PolicyRunner)
         schedule, gains = load_gains(results / paths.gain_file("schedule"), variant)
         policies = group_policies(scenario, scenario.generalise.policies, group)
         for policy in policies:
-            for world in run(variant, gains, policy, "generalise", seeds, num_slots):
+            for world in run_worlds(
+                variant, gains, source(variant, policy), "generalise", seeds, num_slots
+            ):
                 point = {"axis": "cell", "value": cell_text(cell)}
                 write_log(
                     results / paths.cell_log(cell, policy, world.seed),

@@ -1,18 +1,18 @@
-"""How a stage runs the learned policies."""
+"""Trained policies by the files of their weights."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 
-from hiersched.learning.policy import Policy, rollout
-from hiersched.runs.policies import WorldRun, seed_worlds
+from hiersched.learning.policy import TrainedPolicy
+from hiersched.runs.policies import PolicySource, RunnablePolicy
 from hiersched.scenario import Scenario
-from hiersched.simulator import Gains, Simulator
 
 
-class LearnedRunner:
-    """A `PolicyRunner`: world i runs the policy of training seed i, modulo their number.
+def learned_policies(files: Sequence[Path]) -> PolicySource:
+    """Return a source of policies: whatever the name, those of these files.
 
     Parameters
     ----------
@@ -20,40 +20,20 @@ class LearnedRunner:
         Weights of the policies, in the order of the training seeds.
     """
 
-    def __init__(self, files: Sequence[Path]) -> None:
-        self._policies = [Policy.load(path) for path in files]
-        self._weights = [path.read_bytes() for path in files]
+    @cache
+    def load(path: Path) -> tuple[TrainedPolicy, bytes]:
+        return TrainedPolicy.load(path), path.read_bytes()
 
-    def __call__(
-        self,
-        scenario: Scenario,
-        gains: Gains,
-        policy: str,
-        purpose: str,
-        seeds: Sequence[int],
-        num_slots: int,
-    ) -> Iterator[WorldRun]:
-        """Yield the runs in the order of the seeds."""
-        runs: dict[int, WorldRun] = {}
-        for index, learned in enumerate(self._policies):
-            worlds = seeds[index :: len(self._policies)]
-            if not worlds:
-                continue
-            simulator = Simulator(scenario, gains, seed_worlds(purpose, worlds), num_slots)
-            if len(learned.multipliers) != scenario.users.num_urllc:
-                learned = learned.for_users(scenario.users.num_urllc)
-            record = rollout(simulator, learned)
-            for place, seed in enumerate(worlds):
-                runs[seed] = WorldRun(
-                    seed=seed,
-                    fields=record.environment(place),
-                    metadata={
-                        "policy_seed": str(learned.seed),
-                        "start": learned.start,
-                        # The bits of a matrix product depend on the number of worlds in it.
-                        "batch_seeds": ",".join(map(str, worlds)),
-                    },
-                    attachments={f"policy_seed{learned.seed}.pt": self._weights[index]},
-                )
-        for seed in seeds:
-            yield runs[seed]
+    def source(scenario: Scenario, name: str) -> tuple[RunnablePolicy, ...]:
+        return tuple(runnable(*load(path), scenario) for path in files)
+
+    return source
+
+
+def runnable(policy: TrainedPolicy, weights: bytes, scenario: Scenario) -> RunnablePolicy:
+    """Take a trained policy to a scenario's users, with what its logs carry."""
+    return RunnablePolicy(
+        policy=policy.for_users(scenario.users.num_urllc, scenario.users.num_embb),
+        metadata={"policy_seed": str(policy.seed), "start": policy.rule},
+        attachments={f"policy_seed{policy.seed}.pt": weights},
+    )

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from hiersched.control import GainSchedule
 from hiersched.core.randomness import world_key, world_keys
 from hiersched.log import TOPICS, LogError, LogReader
+from hiersched.policies.policy import LoggedDecisions
 from hiersched.runs.logging import logged_fields
 from hiersched.scenario import Scenario, ScenarioError, load_resolved
 from hiersched.simulator import Gains, Simulator
@@ -284,7 +285,8 @@ def _recompute(
     parts: dict[str, list[NDArray[Any]]] = {name: [] for name in names}
     for batch in run.batches():
         here = slice(batch.first_slot, batch.stop_slot)
-        record = simulator.run_owners(logged["prb_owner"][None, here], multipliers=multipliers)
+        decisions = LoggedDecisions(logged["prb_owner"][None, here])
+        record = simulator.run(decisions, multipliers=multipliers)
         computed = logged_fields(run.profile, run.scenario, record.environment(0))
         for name, values in logged.items():
             if not np.array_equal(values[here], computed[name]):

@@ -1,18 +1,33 @@
-"""How a stage runs a policy in the worlds of its seeds."""
+"""Policies by name, and how a stage runs them in the worlds of its seeds."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.core.randomness import world_key
+from hiersched.policies.find import find_policy
 from hiersched.scenario import Scenario
 from hiersched.scenario.schema import Worlds
 from hiersched.simulator import Gains, Simulator
+from hiersched.simulator.simulator import AnyPolicy
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunnablePolicy:
+    """A policy, and what its logs carry so that it can be run again."""
+
+    policy: AnyPolicy
+    metadata: Mapping[str, str] = field(default_factory=dict)
+    attachments: Mapping[str, bytes] = field(default_factory=dict)
+
+
+PolicySource = Callable[[Scenario, str], Sequence[RunnablePolicy]]
+"""(scenario, name) -> the policies of that name: one, or one a training seed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,41 +54,46 @@ def world_slots(worlds: Worlds, slot_s: float) -> tuple[int, int]:
     return round((worlds.warmup_s + worlds.duration_s) / slot_s), round(worlds.warmup_s / slot_s)
 
 
-class PolicyRunner(Protocol):
-    """Runs a policy in one world a seed; worlds of different purposes are independent."""
-
-    def __call__(
-        self,
-        scenario: Scenario,
-        gains: Gains,
-        policy: str,
-        purpose: str,
-        seeds: Sequence[int],
-        num_slots: int,
-    ) -> Iterator[WorldRun]:
-        """Yield the runs in the order of the seeds."""
-        ...
-
-
 def seed_worlds(purpose: str, seeds: Sequence[int]) -> NDArray[np.uint64]:
     """One world a seed, shape (E,): the same for every policy."""
     return np.array([world_key(purpose, seed) for seed in seeds], dtype=np.uint64)
 
 
-def run_classical(
+def untrained_policies(scenario: Scenario, name: str) -> tuple[RunnablePolicy]:
+    """Return the policy of a name that needs no training (a `PolicySource`)."""
+    return (RunnablePolicy(policy=find_policy(scenario, name)),)
+
+
+def run_worlds(
     scenario: Scenario,
     gains: Gains,
-    policy: str,
+    policies: Sequence[RunnablePolicy],
     purpose: str,
     seeds: Sequence[int],
     num_slots: int,
 ) -> Iterator[WorldRun]:
-    """Run a classical scheduler in all worlds as one batch (a `PolicyRunner`); or the optimum."""
-    if policy == "exact":
-        from hiersched.runs.exact import run_exact
+    """Run one world a seed; world i runs policy i, modulo their number.
 
-        yield from run_exact(scenario, gains, purpose, seeds, num_slots)
-        return
-    record = Simulator(scenario, gains, seed_worlds(purpose, seeds), num_slots).run(policy)
-    for index, seed in enumerate(seeds):
-        yield WorldRun(seed=seed, fields=record.environment(index))
+    Worlds of different purposes are independent.
+
+    Yields
+    ------
+    WorldRun
+        In the order of the seeds.
+    """
+    runs: dict[int, WorldRun] = {}
+    for index, runnable in enumerate(policies):
+        worlds = seeds[index :: len(policies)]
+        if not worlds:
+            continue
+        simulator = Simulator(scenario, gains, seed_worlds(purpose, worlds), num_slots)
+        record = simulator.run(runnable.policy)
+        for place, seed in enumerate(worlds):
+            runs[seed] = WorldRun(
+                seed=seed,
+                fields=record.environment(place),
+                metadata=runnable.metadata,
+                attachments=runnable.attachments,
+            )
+    for seed in seeds:
+        yield runs[seed]

@@ -7,7 +7,7 @@ from pathlib import Path
 from hiersched.runs import paths
 from hiersched.runs.gains import load_gains
 from hiersched.runs.logging import RunLabel, clear_logs, write_log
-from hiersched.runs.policies import PolicyRunner, world_slots
+from hiersched.runs.policies import PolicySource, run_worlds, world_slots
 from hiersched.runs.variants import (
     group_policies,
     swept_policies,
@@ -18,7 +18,7 @@ from hiersched.runs.variants import (
 from hiersched.scenario import Scenario
 
 
-def sweep(scenario: Scenario, results: Path, axis: str, group: str, run: PolicyRunner) -> None:
+def sweep(scenario: Scenario, results: Path, axis: str, group: str, source: PolicySource) -> None:
     """Run and log a group of policies at every value of an axis.
 
     Parameters
@@ -31,8 +31,8 @@ def sweep(scenario: Scenario, results: Path, axis: str, group: str, run: PolicyR
         One of `variants.SWEPT_KEYS`.
     group
         Which policies: one of `variants.policy_groups`.
-    run
-        How they are run.
+    source
+        Where they are found by name.
     """
     seeds = scenario.sweeps.seeds
     policies = group_policies(scenario, swept_policies(scenario, axis), group)
@@ -46,7 +46,9 @@ def sweep(scenario: Scenario, results: Path, axis: str, group: str, run: PolicyR
         )
         num_slots, warmup_slots = world_slots(scenario.sweeps, variant.radio.slot_s)
         for policy in policies:
-            for world in run(variant, gains, policy, "sweep", seeds, num_slots):
+            for world in run_worlds(
+                variant, gains, source(variant, policy), "sweep", seeds, num_slots
+            ):
                 point = {"axis": axis, "value": value_text(value)}
                 write_log(
                     results / paths.sweep_log(axis, policy, value, world.seed),

@@ -55,9 +55,22 @@ def _draw_channel(plugs: Any, constants: Any, state: Any, slot: Any, env: int) -
     if plugs.path_loss.kernel != 0:
         call_plug(plugs.path_loss, constants, state, slot, env)
     call_plug(plugs.fading, constants, state, slot, env)
+    _rate_channel(plugs, constants, state, slot, env)
+
+
+@inner_kernel()
+def _rate_channel(plugs: Any, constants: Any, state: Any, slot: Any, env: int) -> None:
+    """Rates of a world's coming slot, and what is reported of them."""
     call_plug(plugs.link, constants, state, slot, env)
     if plugs.report.kernel != 0:
         call_plug(plugs.report, constants, state, slot, env)
+
+
+@kernel()
+def rate_channels(plugs: Any, constants: Any, state: Any, slot: Any) -> None:
+    """Rates of every world's coming slot, whose fading is there."""
+    for env in range(state.key.shape[0]):
+        _rate_channel(plugs, constants, state, slot, env)
 
 
 @kernel()
@@ -117,6 +130,17 @@ def run_slots(
             state.slot[env] += 1
             _copy(one.words, row)
             _draw_channel(plugs, constants, state, slot, env)
+
+
+@kernel()
+def decide_slots(
+    plugs: Any, constants: Any, state: Any, scratch: Any, one: Any, owners: NDArray[np.uint32]
+) -> None:
+    """Let a policy decide the coming slot of all worlds, which does not come: owners (E, K)."""
+    for env in range(state.key.shape[0]):
+        _observe(constants, state, scratch, one.fields, env)
+        _decide(plugs, constants, state, scratch, one.fields, env)
+        _copy(one.fields.prb_owner, owners[env])
 
 
 @kernel()

@@ -74,11 +74,8 @@ def belief(scenario: Scenario) -> Belief:
     return Belief(
         offered_mbps=np.concatenate([base, offered_embb]),
         rate_sensitivity=np.repeat([traffic.rate_sensitivity, 0.0], [num_urllc, num_embb]),
-        packets_per_mbps=np.repeat([interval_s, radio.slot_s], [num_urllc, num_embb])
-        / packet_mbit,
-        mean_due_packets=np.concatenate([offered_urllc, offered_embb])
-        * radio.slot_s
-        / packet_mbit,
+        packets_per_mbps=np.repeat([interval_s, radio.slot_s], [num_urllc, num_embb]) / packet_mbit,
+        mean_due_packets=np.concatenate([offered_urllc, offered_embb]) * radio.slot_s / packet_mbit,
     )
 
 

@@ -69,6 +69,4 @@ def _weigh(constants: Any, state: Any, slot: Any, env: int) -> None:
     slot.penalty_embb[()] = penalty_embb
     weight, scale = constants.penalty_weight, constants.reward_scale
     slot.reward_urllc[()] = -(drift_urllc + weight * penalty_urllc - priced) / (num_urllc * scale)
-    slot.reward_embb[()] = -(drift_embb + weight * penalty_embb) / (
-        (num_users - num_urllc) * scale
-    )
+    slot.reward_embb[()] = -(drift_embb + weight * penalty_embb) / ((num_users - num_urllc) * scale)

@@ -272,21 +272,3 @@ def reset_state(state: SlotState, scenario: Scenario, keys: NDArray[np.uint64]) 
     state.weight[:] = 1.0
     state.delay_s[:] = scenario.robot.core_latency_s  # until the network has delivered something
     state.dexterity_index[:] = scenario.robot.initial_dexterity_index
-
-
-def user_terms(constants: SlotConstants) -> UserTerms:
-    """Terms of a slot's Lagrangian; backlogs, service offsets and multipliers are still 0."""
-    num_users = len(constants.offered_mbps)
-    return UserTerms(
-        backlog_packets=np.zeros(num_users),
-        offered_mbps=constants.offered_mbps,
-        rate_sensitivity=constants.rate_sensitivity,
-        arrival_packets_per_mbps=constants.arrival_packets_per_mbps,
-        service_offset_mbps=np.zeros(num_users),
-        service_packets_per_mbps=constants.service_packets_per_mbps,
-        penalty_weight=constants.penalty_weight,
-        epsilon=constants.epsilon,
-        multiplier=np.zeros(num_users),
-        delay_exponent_per_mbps=constants.delay_exponent_per_mbps,
-        violation_share=constants.violation_share,
-    )

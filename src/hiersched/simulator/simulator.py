@@ -10,6 +10,7 @@ from numba import typeof, types
 from numpy.typing import NDArray
 
 from hiersched.allocation.allocate import ALLOCATIONS, AllocatorScratch, allocator_scratch
+from hiersched.allocation.objective import user_terms
 from hiersched.core.pointer import Pointer
 from hiersched.core.seam import UNUSED, Plug, Seam, address_of
 from hiersched.models import seams
@@ -23,7 +24,9 @@ from hiersched.simulator.loop import (
     IN_ORDER,
     OWN,
     Plugs,
+    decide_slots,
     draw_channels,
+    rate_channels,
     run_robots,
     run_slots,
 )
@@ -37,7 +40,6 @@ from hiersched.simulator.setup import (
     reset_state,
     slot_constants,
     slot_state,
-    user_terms,
 )
 
 AnyPolicy = str | Rule | Weigher | Policy | LoggedDecisions
@@ -90,10 +92,8 @@ class Simulator:
         self.words = {name: model.words(self.setup) for name, model in self.models.items()}
         belief = self.models["arrivals"].belief(scenario)  # type: ignore[attr-defined]
         self.constants: SlotConstants = slot_constants(scenario, gains, belief)
-        self.state: SlotState = slot_state(
-            self.setup, has_report=self.words["report"] is not None
-        )
-        self.view = _view(self.state)
+        self.state: SlotState = slot_state(self.setup, has_report=self.words["report"] is not None)
+        self.view = _view(self.state, self.constants)
         self._layout = SlotLayout(
             scenario.num_users,
             scenario.users.num_urllc,
@@ -321,9 +321,7 @@ class Simulator:
             ),
         }
 
-    def _call(
-        self, prepared: _Prepared, owners: NDArray[np.uint32], record: SlotRecord
-    ) -> None:
+    def _call(self, prepared: _Prepared, owners: NDArray[np.uint32], record: SlotRecord) -> None:
         """Run as many slots as the record has."""
         arguments = (
             prepared.plugs,
@@ -339,6 +337,29 @@ class Simulator:
             # takes longer than a slot.
             self._entry = run_slots.compile(tuple(map(typeof, arguments)))
         self._entry(*arguments)
+
+    def set_channel(self, fading_power: NDArray[np.float32]) -> None:
+        """Put squared amplitudes, shape (E, U, K), in place of the coming slot's channel."""
+        self.state.fading_power[:] = fading_power
+        where = self._constants, self._state, self._slot
+        rate_channels(Pointer(self._plugs), *where)
+
+    def decide(
+        self, policy: Rule | Weigher, multipliers: NDArray[np.float64] | None = None
+    ) -> NDArray[np.uint32]:
+        """Say what a compiled policy would do in the present state, which stays as it is.
+
+        Returns
+        -------
+        prb_owner
+            Owner of each PRB, shape (E, K).
+        """
+        self._set(policy, None, multipliers)
+        owners = np.zeros((self.num_envs, self.scenario.radio.num_prb), np.uint32)
+        prepared = self._prepare(policy)
+        where = self._constants, self._state, self._scratch, self._one
+        decide_slots(prepared.plugs, *where, owners)
+        return owners
 
     def _by_slot(self, policy: Policy, record: SlotRecord) -> None:
         """Ask a policy in Python in every slot."""
@@ -400,18 +421,19 @@ class Simulator:
         return self._layout.record(self.num_envs, num_slots)
 
 
-def _view(state: SlotState) -> View:
+def _view(state: SlotState, constants: SlotConstants) -> View:
     """Return what a policy in Python is shown, which it cannot write into."""
-    view = View(
-        slot=state.slot.view(),
-        rate_mbps=state.reported_rate_mbps.view(),
-        backlog_packets=state.backlog_packets.view(),
-        hol_delay_s=state.hol_delay_s.view(),
-        average_rate_mbps=state.average_rate_mbps.view(),
-        last_rate_mbps=state.rate_mbps.view(),
-        multiplier=state.multiplier.view(),
-        dexterity_index=state.dexterity_index.view(),
-    )
-    for values in view:
+    arrays = {
+        "slot": state.slot,
+        "rate_mbps": state.reported_rate_mbps,
+        "backlog_packets": state.backlog_packets,
+        "hol_delay_s": state.hol_delay_s,
+        "average_rate_mbps": state.average_rate_mbps,
+        "last_rate_mbps": state.rate_mbps,
+        "multiplier": state.multiplier,
+        "dexterity_index": state.dexterity_index,
+    }
+    shown = {name: values.view() for name, values in arrays.items()}
+    for values in shown.values():
         values.flags.writeable = False
-    return view
+    return View(**shown, constants=constants)  # type: ignore[arg-type]

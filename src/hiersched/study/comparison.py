@@ -5,14 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from hiersched.policies.index_rules import CLASSICAL
 from hiersched.runs import paths
 from hiersched.scenario import Scenario
-from hiersched.scenario.schema import SchedulerName
 from hiersched.study.collect import BASELINE
 from hiersched.study.intervals import measure_interval
 from hiersched.study.statistics import (
@@ -26,7 +26,6 @@ from hiersched.study.statistics import (
 BACKLOG = "mean_square_backlog"
 """Time average of half the sum of squared backlogs: the measure by which policies are ranked."""
 
-_CLASSICAL = tuple(name for name in get_args(SchedulerName) if name != "exact")
 
 CELL_AXES = ("cell", "load", "rayleigh_scale")
 """What a policy meets that it was not trained on."""
@@ -47,7 +46,7 @@ def best_classical(runs: pd.DataFrame) -> str | None:
     It is picked by the very runs with which it is compared, so a comparison with it is never too
     kind to others. None where no classical scheduler was run.
     """
-    means = runs[runs["policy"].isin(_CLASSICAL)].groupby("policy")[BACKLOG]
+    means = runs[runs["policy"].isin(CLASSICAL)].groupby("policy")[BACKLOG]
     return str(means.mean().idxmin()) if means.ngroups else None
 
 

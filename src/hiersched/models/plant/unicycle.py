@@ -187,8 +187,7 @@ def _start_slot(me: UnicycleWords, lanes: NDArray[np.float64]) -> None:
     """Next slip of a block of robots from its normals; the slot's sum of squares starts at 0."""
     for lane in range(LANES):
         lanes[SLIP + lane] = (
-            me.slip_decay * lanes[SLIP + lane]
-            + me.slip_gain_mps * lanes[NORMALS + lane]
+            me.slip_decay * lanes[SLIP + lane] + me.slip_gain_mps * lanes[NORMALS + lane]
         )
         lanes[SLIP + LANES + lane] = (
             me.slip_decay * lanes[SLIP + LANES + lane]

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.allocation.objective import mean_arrivals
-from hiersched.core.compiled import inner_kernel, kernel
+from hiersched.core.compiled import kernel
 from hiersched.core.numerics import exp_f64
-from hiersched.models.model import Arrivals, Belief, Setup
+from hiersched.models.model import Arrivals, Setup
 from hiersched.models.seams import OFFER
 
 if TYPE_CHECKING:
-    from hiersched.scenario.schema import Scenario
+    pass
 
 LANES = 32
 """Users side by side. A block of them is one flat array, field after field: with offsets that the
