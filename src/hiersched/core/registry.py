@@ -157,7 +157,8 @@ def load_plugin(file: Path) -> ModuleType:
     if folder not in sys.path:
         sys.path.append(folder)
     spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None and spec.loader is not None  # it is a .py file
+    assert spec is not None  # it is a .py file
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     module.__plugin_sha256__ = hashlib.sha256(text).hexdigest()  # type: ignore[attr-defined]
     sys.modules[name] = module

@@ -92,3 +92,14 @@ def loop_gains(schedule: GainSchedule, gain: Literal["adjusted", "nominal"]) -> 
         inputs[:] = 0.0
         differs[:] = False
     return LoopGains(local_gains=local, network_gains=network, input_gains=inputs, adjusted=differs)
+
+
+def nominal_gains(scenario: Scenario) -> LoopGains:
+    """Tables of the nominal gain at every delay, without designing any other."""
+    plant = plant_of(scenario)
+    over_network = plant.kind == "network"
+    of_loop = plant.nominal_gain if over_network else plant.operator_gain
+    count = scenario.max_delay_steps + 1
+    network = np.repeat(of_loop[None], count, axis=0)
+    local = None if over_network else np.repeat(plant.nominal_gain[None], count, axis=0)
+    return LoopGains.memoryless(network, local)
