@@ -97,9 +97,10 @@ def loop_gains(schedule: GainSchedule, gain: Literal["adjusted", "nominal"]) -> 
 def nominal_gains(scenario: Scenario) -> LoopGains:
     """Tables of the nominal gain at every delay, without designing any other."""
     plant = plant_of(scenario)
-    over_network = plant.kind == "network"
-    of_loop = plant.nominal_gain if over_network else plant.operator_gain
+    nominal, operator = plant.nominal_gain, plant.operator_gain
+    if plant.kind == "network":
+        local, network = np.zeros_like(nominal), nominal
+    else:
+        local, network = nominal, np.zeros_like(nominal) if operator is None else operator
     count = scenario.max_delay_steps + 1
-    network = np.repeat(of_loop[None], count, axis=0)
-    local = None if over_network else np.repeat(plant.nominal_gain[None], count, axis=0)
-    return LoopGains.memoryless(network, local)
+    return LoopGains.memoryless(*(np.repeat(gain[None], count, axis=0) for gain in (network, local)))
