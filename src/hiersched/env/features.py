@@ -6,43 +6,30 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.models.plant.unicycle import STATE
+from hiersched.policies.features import (
+    FEATURE_VERSION,
+    FEATURES,
+    MULTIPLIER,
+    NEED_SCALE,
+    ROBOT_FEATURES,
+    multiplier_feature,
+    num_features,
+)
 from hiersched.simulator import Simulator
 
-FEATURE_VERSION = 1
-"""Rises when a feature changes its meaning: a policy runs only on the version it has learnt."""
+__all__ = [
+    "FEATURES",
+    "FEATURE_VERSION",
+    "MULTIPLIER",
+    "NEED_SCALE",
+    "ROBOT_FEATURES",
+    "agent_views",
+    "multiplier_feature",
+    "num_features",
+    "user_features",
+]
 
-FEATURES = (
-    "need",  # PRBs that would empty the queue at the coming slot's mean rate, / NEED_SCALE
-    "log_need",  # ln(1 + the same, unscaled)
-    "log_wait",  # ln(1 + head-of-line delay / deadline)
-    "log_prb_rate",  # ln of the coming slot's mean PRB rate over 10 Mbit/s
-    "served",  # rate of the last slot over the coming slot's mean PRB rate, / NEED_SCALE
-    "dexterity",  # DI in force (0 for eMBB users)
-    "log_multiplier",  # ln(1 + multiplier of the user's delay constraint) (0 for eMBB users)
-    "load",  # PRBs that the user's offered load takes at the coming slot's mean rate, / NEED_SCALE
-)
-"""Names of the features of one user, in order."""
-
-ROBOT_FEATURES = (
-    "log_tracking_error",  # ln(1 + present position error in cm)
-    "delay_steps",  # delay of the feedback, were the head packet delivered now, over the largest
-    "gain_delay_steps",  # delay whose adjusted gain is in force over the largest; 0: nominal gain
-)
-"""Further features of a URLLC user where robots are observed (0 for eMBB users)."""
-
-MULTIPLIER = FEATURES.index("log_multiplier")
-NEED_SCALE = 4.0
 _REFERENCE_RATE_MBPS = 10.0
-
-
-def num_features(observe_robots: bool) -> int:
-    """Features of one user."""
-    return len(FEATURES) + (len(ROBOT_FEATURES) if observe_robots else 0)
-
-
-def multiplier_feature(multipliers: NDArray[np.float64]) -> NDArray[np.float32]:
-    """ln(1 + multiplier), same shape: how a multiplier appears among the features."""
-    return np.log1p(multipliers).astype(np.float32)
 
 
 def user_features(
