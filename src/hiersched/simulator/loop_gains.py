@@ -103,4 +103,6 @@ def nominal_gains(scenario: Scenario) -> LoopGains:
     else:
         local, network = nominal, np.zeros_like(nominal) if operator is None else operator
     count = scenario.max_delay_steps + 1
-    return LoopGains.memoryless(*(np.repeat(gain[None], count, axis=0) for gain in (network, local)))
+    return LoopGains.memoryless(
+        *(np.repeat(gain[None], count, axis=0) for gain in (network, local))
+    )

@@ -103,7 +103,7 @@ class SlotState(NamedTuple):
         At the start of the coming slot; the last is that of the slot before; shape (E, U).
     multiplier
         Of each URLLC user's delay constraint, shape (E, R).
-    weight, index, need_mbps
+    weight, index_weight, need_mbps
         Factors of the utilities by a policy, what the rule's utilities are multiplied with (or
         urgencies), and the rate that a user can use of the slot, shape (E, U).
     delay_s, dexterity_index, gain_delay_steps
@@ -125,7 +125,7 @@ class SlotState(NamedTuple):
     rate_mbps: NDArray[np.float64]
     multiplier: NDArray[np.float64]
     weight: NDArray[np.float64]
-    index: NDArray[np.float64]
+    index_weight: NDArray[np.float64]
     need_mbps: NDArray[np.float64]
     delay_s: NDArray[np.float64]
     dexterity_index: NDArray[np.float64]
@@ -252,7 +252,7 @@ def slot_state(setup: Setup, *, has_report: bool) -> SlotState:
         rate_mbps=users(),
         multiplier=robots(),
         weight=users(),
-        index=users(),
+        index_weight=users(),
         need_mbps=users(),
         delay_s=robots(),
         dexterity_index=robots(),
