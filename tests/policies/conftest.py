@@ -8,6 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from hiersched.core.compiled import kernel
+from hiersched.core.pointer import Pointer
+from hiersched.core.seam import call_plug
+from hiersched.policies.seams import WEIGH
+
 
 class Loop(NamedTuple):
     core_latency_s: float
@@ -35,6 +40,10 @@ class State(NamedTuple):
     gain_delay_steps: NDArray[np.uint32]  # (E, R)
     robot_state: NDArray[np.float64]  # (E, R, N)
     weight: NDArray[np.float64]  # (E, U)
+
+
+class Slot(NamedTuple):
+    slot: int
 
 
 def random_worlds(
@@ -75,7 +84,30 @@ def random_worlds(
     return constants, State(*map(np.stack, zip(*worlds, strict=True)))
 
 
+@kernel()
+def _weigh_all(plug, constants, state, slot, num_envs):
+    for env in range(num_envs):
+        call_plug(plug, constants, state, slot, env)
+
+
+def weigh_worlds(words, constants: Constants, state: State) -> NDArray[np.float64]:
+    """Weights (E, U) of a policy's words, by its kernel in the seam WEIGH."""
+    pointers = Pointer(constants), Pointer(state), Pointer(Slot(0))
+    plug, _kept = WEIGH.plug(words, *pointers)
+    _weigh_all(plug, *pointers, len(state.weight))
+    return state.weight.copy()
+
+
+# Test modules cannot import each other or this one.
+
+
 @pytest.fixture(scope="session")
 def make_worlds():
-    """`random_worlds`, which test modules cannot import."""
+    """`random_worlds`."""
     return random_worlds
+
+
+@pytest.fixture(scope="session")
+def weigh():
+    """`weigh_worlds`."""
+    return weigh_worlds

@@ -92,7 +92,7 @@ def ordered_f64(x: float) -> np.int64:
 
 @njit(inline="always")
 def _ln_parts_f64(x: float) -> tuple[float, float]:
-    """Split a positive normal double x = 2^n m into n and ln m, m within [sqrt(1/2), sqrt(2)).
+    """Split a positive normal double 2^n m, m within [sqrt(1/2), sqrt(2)), into n and ln m.
 
     Source: the argument reduction and polynomial of FreeBSD's `e_log.c`.
     """
