@@ -6,11 +6,25 @@ packet in service counts as waiting until its last bit is out.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from hiersched.core.compiled import kernel
+from hiersched.core.parameters import Note
+from hiersched.models.model import QUEUE, Model
+
+
+@QUEUE.model
+@dataclass(frozen=True, kw_only=True)
+class Fifo(Model):
+    """Every user's packets leave in the order in which they came."""
+
+    model: Annotated[Literal["fifo"], Note("model", "paper", "fifo (first in, first out)")] = "fifo"
+
 
 LANES = 32
 """Users side by side. A block of them is one flat array, field after field: with offsets that the
