@@ -72,6 +72,12 @@ class Model:
         user, or a robot for a plant. Its kernel writes them into its words of the same name.
     """
 
+    if TYPE_CHECKING:
+
+        @property
+        def model(self) -> str:
+            """Name of the model: a field of every subclass."""
+
     __pydantic_config__: ClassVar[ConfigDict] = STRICT
     log_fields: ClassVar[Mapping[str, str]] = {}
 

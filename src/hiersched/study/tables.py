@@ -11,7 +11,7 @@ from typing import Any
 import pandas as pd
 
 from hiersched.scenario import Scenario, load_scenario, parameter_notes, scenario_to_dict
-from hiersched.scenario.load import CONFIG
+from hiersched.scenario.plugins import CONFIG
 from hiersched.study.collect import (
     cell_frame,
     evaluation_frame,
