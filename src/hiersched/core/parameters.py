@@ -48,12 +48,16 @@ class Note:
 
 
 @cache
-def _adapter(kind: type) -> TypeAdapter[Any]:
+def _adapter(kind: Any) -> TypeAdapter[Any]:
+    if not hasattr(kind, "__pydantic_config__"):
+        kind.__pydantic_config__ = STRICT
     return TypeAdapter(kind)
 
 
 def read_strictly(kind: type[T], values: Mapping[str, Any]) -> T:
     """Make a dataclass of plain values, as they come from YAML: lists become tuples.
+
+    A dataclass without a configuration of its own is read as strictly as a section.
 
     Raises
     ------

@@ -240,7 +240,7 @@ def _forget(path: Path) -> None:
 
 
 ALGORITHMS: Registry[Any] = Registry("learning.algorithm")
-"""Learning algorithms: callables (scenario, generators) -> `hiersched.learning.algorithm.Algorithm`.
+"""Learning algorithms: callables (scenario, generators) -> `learning.algorithm.Algorithm`.
 
 A class may have an attribute `Parameters`, a dataclass: what `learning.parameters` has to be."""
 BUILT_IN_ALGORITHMS = ("ddpg", "a2c")

@@ -145,7 +145,7 @@ def _control(scenario: Scenario) -> list[str]:
 
 
 def _models(scenario: Scenario) -> list[str]:
-    """What the models themselves find."""
+    """List what the models themselves find."""
     faults = []
     for key in SECTIONS:
         faults += _asked(key, model_at(scenario, key).faults, scenario)
@@ -247,7 +247,7 @@ def _learning(scenario: Scenario, section: str, learning: Learning) -> list[str]
 
 
 def _algorithm(section: str, learning: Learning) -> list[str]:
-    """An algorithm that nobody has registered, or keys that are not its own."""
+    """List an algorithm that nobody has registered, or keys that are not its own."""
     name, parameters = learning.algorithm, learning.parameters
     if name not in ALGORITHMS:
         return [f"{section}.algorithm = {name!r}: {ALGORITHMS.allowed()}"]

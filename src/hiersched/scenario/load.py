@@ -223,8 +223,8 @@ def load_resolved(text: str, origin: Path) -> tuple[Scenario, tuple[str, ...], s
     Returns
     -------
     scenario, added, sha256
-        The scenario, its old keys in their new places; the keys that it lacks, whose values are today's defaults; and the hash of
-        what is written, as `scenario_sha256` had it then.
+        The scenario, its old keys in their new places; the keys that it lacks, whose values are
+        today's defaults; and the hash of what is written, as `scenario_sha256` had it then.
 
     Raises
     ------

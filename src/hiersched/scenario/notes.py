@@ -88,7 +88,7 @@ def _section(key: str) -> str:
 def _model_notes(
     scenario: Scenario, section: str, written: dict[str, ParameterNote]
 ) -> list[ParameterNote]:
-    """Notes of the model in a section; what the defaults say of a key of this model stands."""
+    """Return the notes of a section's model; what the defaults say of its keys stands."""
     model = model_at(scenario, section)
     own = {
         f"{section}.{key}": ParameterNote(key=f"{section}.{key}", **vars(note))

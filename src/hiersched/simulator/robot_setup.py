@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.models.plant.linear import LinearConstants
+from hiersched.models.plant.linear import Linear, LinearConstants
 from hiersched.models.plant.reference import (
     PathShape,
     ReferenceTable,
@@ -118,25 +118,21 @@ def _reference(
 
 
 def linear_constants(scenario: Scenario) -> LinearConstants:
-    """Return the matrices of section `linear_plant`, or empty ones for unicycles."""
-    section, (n, m, _) = scenario.linear_plant, scenario.robot_sizes
-    if scenario.control.plant != "linear":
-        n = m = 0
-    limits = section.input_limits
-    arrays = {
-        name: np.zeros(shape) if value is None or n == 0 else np.array(value, dtype=np.float64)
-        for name, value, shape in (
-            ("A", section.A, (n, n)),
-            ("A_d", section.A_d, (n, n)),
-            ("B", section.B, (n, m)),
-            ("process_noise", section.process_noise, n),
-            ("measurement_noise", section.measurement_noise, n),
-        )
-    }
+    """Return the matrices of linear plants, or empty ones for unicycles."""
+    plant, (n, m, _) = scenario.plant, scenario.robot_sizes
+    if not isinstance(plant, Linear):
+        none = np.zeros((0, 0))
+        empty = np.zeros(0)
+        return LinearConstants(none, none, none, empty, empty, empty, np.zeros(0, np.int64))
+    limits = plant.input_limits
     return LinearConstants(
-        **arrays,
+        A=np.array(plant.A, np.float64),
+        A_d=np.zeros((n, n)) if plant.A_d is None else np.array(plant.A_d, np.float64),
+        B=np.array(plant.B, np.float64),
+        process_noise=np.array(plant.process_noise, np.float64),
+        measurement_noise=np.array(plant.measurement_noise, np.float64),
         input_limits=np.full(m, np.inf) if limits is None else np.array(limits, np.float64),
-        error_states=np.array(section.error_states or (), np.int64),
+        error_states=np.array(plant.error_states, np.int64),
     )
 
 

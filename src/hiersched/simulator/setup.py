@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,11 +10,12 @@ from numpy.typing import NDArray
 
 from hiersched.allocation.objective import UserTerms
 from hiersched.core.randomness import NormalScratch, normal_scratch
-from hiersched.models.channel.link_budget import large_scale_gain, snr_per_fading_power
-from hiersched.models.plant.linear import LinearConstants, LinearState, linear_state
+from hiersched.models.channel.link_budget import snr_per_fading_power
+from hiersched.models.channel.rayleigh import Rayleigh
+from hiersched.models.plant.linear import Linear, LinearConstants, LinearState, linear_state
 from hiersched.models.plant.unicycle import RobotConstants, RobotState, path_scratch, robot_state
 from hiersched.models.queue.fifo import LANES, NUM_QUEUE_LANES, set_deadline
-from hiersched.models.traffic.poisson import MAX_MEAN, NUM_ARRIVAL_LANES
+from hiersched.models.traffic.poisson import MAX_MEAN, NUM_ARRIVAL_LANES, Poisson
 from hiersched.policies.rules import (
     CAPPED,
     SchedulerConstants,
@@ -98,10 +98,6 @@ class SlotScratch(NamedTuple):
     row: NDArray[np.uint64]  # in which `slot` lies
 
 
-def _per_user(value: float | Sequence[float], count: int) -> NDArray[np.float64]:
-    return np.broadcast_to(np.asarray(value, dtype=np.float64), (count,)).copy()
-
-
 def slot_constants(scenario: Scenario, gains: Gains, num_slots: int) -> SlotConstants:
     """Constants of a run of `num_slots` slots.
 
@@ -123,27 +119,17 @@ def slot_constants(scenario: Scenario, gains: Gains, num_slots: int) -> SlotCons
     radio, traffic, objective = scenario.radio, scenario.traffic, scenario.objective
     num_urllc, num_embb = scenario.users.num_urllc, scenario.users.num_embb
     packet_mbit = traffic.packet_bits * 1e-6
-    delay_s = (
-        traffic.deadline_s if traffic.application_delay_s is None else traffic.application_delay_s
-    )
-    interval_s = radio.slot_s + delay_s
-    offered_urllc = traffic.load * _per_user(traffic.urllc_offered_mbps, num_urllc)
-    offered_embb = traffic.load * _per_user(traffic.embb_offered_mbps, num_embb)
-    sensitivity = np.repeat([traffic.rate_sensitivity, 0.0], [num_urllc, num_embb])
-    # lambda_0 such that the load at the reference rate is the offered one: the interval of the
-    # arrivals is longer than a slot (SPEC 2), so lambda_0 is smaller than the load.
-    base = offered_urllc * radio.slot_s / interval_s + (
-        traffic.rate_sensitivity * traffic.reference_rate_mbps
-    )
-    offered = np.concatenate([base, offered_embb])
-    arrival = np.repeat([interval_s, radio.slot_s], [num_urllc, num_embb]) / packet_mbit
-    worst = offered * arrival / traffic.batch_packets
+    arrivals, fading = traffic.arrivals, radio.fading
+    assert isinstance(arrivals, Poisson)  # the loop knows no others yet
+    assert isinstance(fading, Rayleigh)
+    belief = arrivals.belief(scenario)
+    worst = belief.offered_mbps * belief.packets_per_mbps / arrivals.batch_packets
     if worst.max() > MAX_MEAN:
         user = int(worst.argmax())
         raise ValueError(
             f"user {user}: up to {worst[user]:.6g} batches a slot on average; at most {MAX_MEAN:g} "
             "(lower traffic.load or the offered rate, or raise traffic.packet_bits or "
-            "traffic.batch_packets)"
+            "traffic.arrivals.batch_packets)"
         )
     deadline_s = np.repeat([traffic.deadline_s, traffic.embb_deadline_s], [num_urllc, num_embb])
     rules = SchedulerConstants(
@@ -161,15 +147,15 @@ def slot_constants(scenario: Scenario, gains: Gains, num_slots: int) -> SlotCons
         num_prb=radio.num_prb,
         slot_s=radio.slot_s,
         prb_bandwidth_mhz=radio.bandwidth_hz / radio.num_prb * 1e-6,
-        fading_scale=np.float32(2.0 * radio.rayleigh_scale**2),
-        offered_mbps=offered,
-        rate_sensitivity=sensitivity,
-        arrival_packets_per_mbps=arrival,
+        fading_scale=np.float32(2.0 * fading.scale**2),
+        offered_mbps=belief.offered_mbps,
+        rate_sensitivity=belief.rate_sensitivity,
+        arrival_packets_per_mbps=belief.packets_per_mbps,
         service_packets_per_mbps=radio.slot_s / packet_mbit,
         service_coefficient_mbps=traffic.service_coefficient_mbps,
-        batch_packets=traffic.batch_packets,
+        batch_packets=arrivals.batch_packets,
         deadline_slots=_near_integer(deadline_s / radio.slot_s),
-        mean_due_packets=np.concatenate([offered_urllc, offered_embb]) * radio.slot_s / packet_mbit,
+        mean_due_packets=belief.mean_due_packets,
         penalty_weight=objective.penalty_weight,
         epsilon=objective.epsilon,
         delay_exponent_per_mbps=objective.delay_exponent * traffic.deadline_s,
@@ -179,7 +165,7 @@ def slot_constants(scenario: Scenario, gains: Gains, num_slots: int) -> SlotCons
         reward_scale=scenario.learning.reward_scale,
         rules=rules,
         robots=robot_constants(scenario, gains, num_slots, num_urllc),
-        is_linear=scenario.control.plant == "linear",
+        is_linear=isinstance(scenario.plant, Linear),
         linear=linear_constants(scenario),
     )
 
@@ -199,15 +185,8 @@ def initial_state(scenario: Scenario, keys: NDArray[np.uint64], num_slots: int) 
     radio, (n, m, _) = scenario.radio, scenario.robot_sizes
     num_samples = math.ceil(num_slots * radio.slot_s / scenario.control.sampling_s - 1e-9)
     snr = np.full((num_envs, num_users), snr_per_fading_power(radio.tx_power_dbm, radio.noise_dbm))
-    if radio.path_loss == "macro":
-        for env, key in enumerate(keys):
-            snr[env] *= large_scale_gain(
-                int(key),
-                num_users,
-                cell_radius_m=radio.cell_radius_m,
-                min_distance_m=radio.min_distance_m,
-                shadowing_db=radio.shadowing_db,
-            )
+    for env, key in enumerate(keys):
+        snr[env] *= radio.path_loss.gain(int(key), num_users)
     return SlotState(
         key=np.asarray(keys, dtype=np.uint64).copy(),
         slot=np.zeros(num_envs, np.int64),

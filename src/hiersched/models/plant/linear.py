@@ -29,9 +29,9 @@ Index = Annotated[int, Field(ge=0)]
 class Linear(Plant):
     """Robots that are a discrete linear plant: n states, m inputs, matrices row by row."""
 
-    model: Annotated[
-        Literal["linear"], Note("model", "assumed", "linear (given by matrices)")
-    ] = "linear"
+    model: Annotated[Literal["linear"], Note("model", "assumed", "linear (given by matrices)")] = (
+        "linear"
+    )
     A: Annotated[
         Matrix,
         Note(
@@ -157,7 +157,6 @@ class Linear(Plant):
                 "with plant.model = 'linear', whose matrices hold for control.sampling_s alone"
             )
         return faults
-
 
 
 class LinearConstants(NamedTuple):

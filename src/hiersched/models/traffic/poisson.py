@@ -55,9 +55,7 @@ class Poisson(Arrivals):
     def interval_s(self, scenario: Scenario) -> float:
         """Return the interval of a URLLC user's arrivals, tau + D_i [s]."""
         delay_s = self.application_delay_s
-        return scenario.radio.slot_s + (
-            scenario.traffic.deadline_s if delay_s is None else delay_s
-        )
+        return scenario.radio.slot_s + (scenario.traffic.deadline_s if delay_s is None else delay_s)
 
     def belief(self, scenario: Scenario) -> Belief:
         """As in `Arrivals`; eMBB arrivals depend on no rate."""
