@@ -26,7 +26,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 
-from hiersched.models.model import STRICT, Setup
+from hiersched.core.parameters import STRICT
+from hiersched.models.model import Setup
 from hiersched.policies.needs import NEEDS, expected_packets, expected_wait_s, need_mbps
 from hiersched.policies.registry import RULES, Rule
 from hiersched.policies.seams import INDEX

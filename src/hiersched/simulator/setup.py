@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.allocation.objective import UserTerms
-from hiersched.models.model import Belief, Setup
+from hiersched.models.model import Setup
 from hiersched.models.plant.feedback import LoopConstants
 from hiersched.scenario.schema import Scenario
 
@@ -139,7 +139,7 @@ class SlotScratch(NamedTuple):
     terms: UserTerms
 
 
-def slot_constants(scenario: Scenario, gains: Gains, belief: Belief) -> SlotConstants:
+def slot_constants(scenario: Scenario, gains: Gains) -> SlotConstants:
     """Constants of a run.
 
     Parameters
@@ -148,8 +148,6 @@ def slot_constants(scenario: Scenario, gains: Gains, belief: Belief) -> SlotCons
         The validated scenario.
     gains
         Gains for every delay up to `scenario.max_delay_steps`.
-    belief
-        What the base station expects of the arrivals.
 
     Raises
     ------
@@ -157,6 +155,7 @@ def slot_constants(scenario: Scenario, gains: Gains, belief: Belief) -> SlotCons
         If the gains do not cover the scenario's delays.
     """
     radio, traffic, objective = scenario.radio, scenario.traffic, scenario.objective
+    belief = traffic.arrivals.belief(scenario)
     of_slice = [scenario.users.num_urllc, scenario.users.num_embb]
     deadline_s = np.repeat([traffic.deadline_s, traffic.embb_deadline_s], of_slice)
     return SlotConstants(

@@ -32,7 +32,7 @@ from hiersched.simulator.loop import (
     run_robots,
     run_slots,
 )
-from hiersched.simulator.models import models_of, snr_of
+from hiersched.simulator.models import models_of, snr_at_unit_fading
 from hiersched.simulator.record import SlotLayout, SlotRecord
 from hiersched.simulator.setup import (
     Gains,
@@ -92,8 +92,7 @@ class Simulator:
         self.setup = Setup(scenario=scenario, num_envs=len(keys), num_slots=num_slots)
         self.models: dict[str, Model] = models_of(scenario)
         self.words = {name: model.words(self.setup) for name, model in self.models.items()}
-        belief = self.models["arrivals"].belief(scenario)  # type: ignore[attr-defined]
-        self.constants: SlotConstants = slot_constants(scenario, gains, belief)
+        self.constants: SlotConstants = slot_constants(scenario, gains)
         self.state: SlotState = slot_state(self.setup, has_report=self.words["report"] is not None)
         self.view = _view(self.state, self.constants)
         self._layout = SlotLayout(
@@ -166,7 +165,7 @@ class Simulator:
         for name, model in self.models.items():
             if self.words[name] is not None:
                 model.reset(self.words[name], keys)
-        self.state.snr[:] = snr_of(self.scenario, self.models["path_loss"], keys)
+        self.state.snr[:] = snr_at_unit_fading(self.scenario, keys)
         draw_channels(Pointer(self._plugs), self._constants, self._state, self._slot)
 
     def run(
