@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
+from hiersched.policies.rules import CLASSICAL
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
@@ -20,7 +21,6 @@ from hiersched.allocation.marginal import (
     allocation_scratch,
 )
 from hiersched.allocation.objective import user_lagrangian
-from hiersched.policies.rules import CLASSICAL
 
 SHAPES = [(1, 1), (1, 7), (2, 3), (5, 5), (8, 10), (20, 25), (25, 25), (80, 100), (3, 40)]
 SIZES = st.integers(1, 8).flatmap(lambda u: st.tuples(st.just(u), st.integers(u, 12)))

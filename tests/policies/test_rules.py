@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-
 from hiersched.policies.rules import (
     CLASSICAL,
     SchedulerConstants,

@@ -6,9 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from scipy.optimize import linear_sum_assignment
-
 from hiersched.policies.rules import CAPPED, CLASSICAL, NEEDS
+from scipy.optimize import linear_sum_assignment
 
 U, R, K = 7, 4, 12  # users, URLLC users among them, PRBs
 

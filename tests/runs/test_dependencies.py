@@ -39,6 +39,7 @@ NOT_A_USE = {
     "gain_points",
     "robots_alone",
     "design_of",
+    "plugin_hashes",
 }
 
 
