@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from hiersched.policies.rules import CAPPED, CLASSICAL, NEEDS
+from hiersched.policies.index_rules import CAPPED, CLASSICAL
+from hiersched.policies.needs import NEEDS
 
 U, R, K = 7, 4, 12  # users, URLLC users among them, PRBs
 

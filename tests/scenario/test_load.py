@@ -6,7 +6,7 @@ from typing import get_args, get_type_hints
 import pytest
 import yaml
 
-from hiersched.policies.rules import CLASSICAL
+from hiersched.policies.index_rules import CLASSICAL
 from hiersched.scenario import (
     Scenario,
     ScenarioError,

@@ -345,16 +345,27 @@ class Simulator:
         rate_channels(Pointer(self._plugs), *where)
 
     def decide(
-        self, policy: Rule | Weigher, multipliers: NDArray[np.float64] | None = None
+        self,
+        policy: Rule | Weigher,
+        multipliers: NDArray[np.float64] | None = None,
+        *,
+        weights: NDArray[np.float64] | None = None,
     ) -> NDArray[np.uint32]:
-        """Say what a compiled policy would do in the present state, which stays as it is.
+        """Say what a compiled policy would do in the present state, which does not move on.
+
+        Parameters
+        ----------
+        policy
+            A rule, or weights of one.
+        multipliers, weights
+            As for `run`; they and what the policy computed of them stay in the state.
 
         Returns
         -------
         prb_owner
             Owner of each PRB, shape (E, K).
         """
-        self._set(policy, None, multipliers)
+        self._set(policy, weights, multipliers)
         owners = np.zeros((self.num_envs, self.scenario.radio.num_prb), np.uint32)
         prepared = self._prepare(policy)
         where = self._constants, self._state, self._scratch, self._one
