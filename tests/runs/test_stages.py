@@ -15,7 +15,7 @@ from hiersched.runs import paths
 from hiersched.runs.evaluate import evaluate
 from hiersched.runs.gain_study import forced_delays, gain_study, gain_sweep
 from hiersched.runs.gains import design_gains, load_gains
-from hiersched.runs.policies import untrained_policies, seed_worlds
+from hiersched.runs.policies import seed_worlds, untrained_policies
 from hiersched.runs.sweep import sweep
 from hiersched.scenario import Scenario, load_scenario, scenario_sha256
 from hiersched.simulator import Simulator

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hiersched.policies.rules import CLASSICAL
 
 from hiersched.core.randomness import STREAM_ARRIVAL, draw_exponentials, draw_uniforms, world_keys
-from hiersched.policies.rules import CLASSICAL
 from hiersched.simulator.record import SlotRecord
 
 WORLD = ("fading_power", "mean_fading_power", "arrival_uniform", "robot_normal")
