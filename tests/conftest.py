@@ -211,7 +211,7 @@ def decide_by_hand(smoke_scenario, nominal_gains):
         ).words
         # What no rule writes is no user's.
         simulator._one.value.fields.prb_owner[:] = 10**6
-        state.need_mbps[:] = state.index[:] = np.nan
+        state.need_mbps[:] = state.index_weight[:] = np.nan
         owner = simulator.decide(
             RULES[name](need=need) if name in CAPPED else RULES[name](),
             of_urllc["multiplier"][None, :num_urllc],

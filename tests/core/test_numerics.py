@@ -14,6 +14,8 @@ from hiersched.core.numerics import (
     fma,
     from_ordered_f32,
     ln_f32,
+    ln_f64,
+    log1p_f64,
     log2_f64,
     ordered_f32,
     ordered_f64,
@@ -33,6 +35,18 @@ def ln_all(x, out):
 def log2_all(x, out):
     for i in range(x.shape[0]):
         out[i] = log2_f64(x[i])
+
+
+@kernel()
+def ln_double_all(x, out):
+    for i in range(x.shape[0]):
+        out[i] = ln_f64(x[i])
+
+
+@kernel()
+def log1p_all(x, out):
+    for i in range(x.shape[0]):
+        out[i] = log1p_f64(x[i])
 
 
 @kernel()
@@ -82,6 +96,26 @@ def test_binary_logarithm_of_powers_of_two_is_exact():
     got = np.empty_like(exponents)
     log2_all(2.0**exponents, got)
     np.testing.assert_array_equal(got, exponents)
+
+
+def test_natural_logarithm_of_a_double_keeps_its_bound():
+    x = positive(np.float64, -1000, 1000)
+    got = np.empty_like(x)
+    ln_double_all(x, got)
+    exact = np.log(x.astype(np.longdouble))
+    assert (np.abs(got - exact) <= 2 * np.spacing(np.abs(got))).all()
+    assert got[x == 1.0].tolist() == [0.0] * (x == 1.0).sum()
+
+
+def test_logarithm_of_one_plus_x_keeps_its_bound():
+    rng = np.random.default_rng(4)
+    x = np.concatenate([positive(np.float64, -1000, 1000), rng.uniform(-0.999, 1.0, 100_000)])
+    x = np.concatenate([x, -(2.0 ** -np.arange(2.0, 900.0)), [0.0]])
+    got = np.empty_like(x)
+    log1p_all(x, got)
+    exact = np.log1p(x.astype(np.longdouble))
+    assert (np.abs(got - exact) <= 2 * np.spacing(np.abs(got))).all()
+    assert got[-1] == 0.0
 
 
 def test_half_angles_keep_their_bound():

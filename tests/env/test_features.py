@@ -9,7 +9,7 @@ import pytest
 from hiersched.core.randomness import world_keys
 from hiersched.env import FEATURES, SlotLoop, agent_views, user_features
 from hiersched.env.core import task_costs
-from hiersched.env.features import num_features
+from hiersched.policies.features import num_features
 from hiersched.simulator import Simulator
 
 

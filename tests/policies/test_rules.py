@@ -27,7 +27,7 @@ def weights(decide_by_hand):
             late_share=late,
             num_urllc=num_urllc,
         )
-        return simulator.state.index[0].copy()
+        return simulator.state.index_weight[0].copy()
 
     return of
 

@@ -11,8 +11,9 @@ from typing import Any
 
 import pytest
 
+from hiersched.models.model import SECTIONS
+from hiersched.runs import dependencies, paths, stability
 from hiersched.runs import gains as gains_stage
-from hiersched.runs import paths, spec, stability
 from hiersched.runs.bound import compute_bound
 from hiersched.runs.evaluate import evaluate
 from hiersched.runs.gain_points import GAIN_SWEEPS
@@ -20,7 +21,9 @@ from hiersched.runs.gain_study import gain_study, gain_sweep
 from hiersched.runs.generalise import generalise
 from hiersched.runs.policies import untrained_policies
 from hiersched.runs.sweep import sweep
+from hiersched.runs.variants import replaced
 from hiersched.scenario import Scenario
+from hiersched.scenario.schema import model_at
 
 # What these read is in the log as a copy of the scenario, or decides on file names alone.
 NOT_A_USE = {
@@ -46,7 +49,8 @@ def reads(tiny: Scenario, monkeypatch: pytest.MonkeyPatch) -> set[str]:
 
     def record(section: str) -> Callable[[Any, str], Any]:
         def read(self: Any, name: str) -> Any:
-            if not name.startswith("_"):
+            is_key = name in {field.name for field in fields(type(self))}
+            if is_key and f"{section}.{name}" not in SECTIONS:
                 frame = sys._getframe(1)
                 callers = set()
                 while frame is not None:
@@ -60,8 +64,11 @@ def reads(tiny: Scenario, monkeypatch: pytest.MonkeyPatch) -> set[str]:
 
     for field in fields(tiny):
         kind = type(getattr(tiny, field.name))
-        if kind not in (str, dict):
+        if kind not in (str, dict, tuple) and field.name not in SECTIONS:
             monkeypatch.setattr(kind, "__getattribute__", record(field.name), raising=False)
+    for section in SECTIONS:
+        kind = type(model_at(tiny, section))
+        monkeypatch.setattr(kind, "__getattribute__", record(section), raising=False)
     return seen
 
 
@@ -71,28 +78,28 @@ def undeclared(reads: set[str], values: dict[str, Any]) -> set[str]:
 
 def test_evaluation_reads_what_it_declares(tiny: Scenario, results: Path, reads: set[str]) -> None:
     evaluate(tiny, results, "classical", untrained_policies)
-    values = spec.evaluate_values(tiny, "classical")
+    values = dependencies.evaluate_values(tiny, "classical")
     assert undeclared(set(reads), values) == {"evaluate.policies"}  # "policies": those of the group
 
 
-@pytest.mark.parametrize("axis", list(spec.SWEPT_KEYS))
+@pytest.mark.parametrize("axis", list(dependencies.SWEPT_KEYS))
 def test_a_sweep_reads_what_it_declares(
     tiny: Scenario, results: Path, reads: set[str], axis: str
 ) -> None:
     sweep(tiny, results, axis, "classical", untrained_policies)
-    values = spec.sweep_values(tiny, axis, "classical")
+    values = dependencies.sweep_values(tiny, axis, "classical")
     # The swept key is read from the variant: its values are those of the axis.
-    replaced = {
+    swept = {
         "sampling_s": set(),
         "load_ratio": set(),
         "service_coefficient_mbps": {"traffic.service_coefficient_mbps"},
-    }.get(axis, {spec.SWEPT_KEYS[axis]})
+    }.get(axis, {dependencies.SWEPT_KEYS[axis]})
     # "policies" are those of the group; along the load, all evaluated ones.
     listed = {"sweeps.policies"} | ({"evaluate.policies"} if axis == "load" else set())
     # Along these axes the study's own learner is named by its algorithm.
     if axis in ("load_ratio", "service_coefficient_mbps"):
         listed |= {"learning.algorithm"}
-    assert undeclared(set(reads), values) == {*listed, *replaced}
+    assert undeclared(set(reads), values) == {*listed, *swept}
 
 
 def test_cells_of_other_sizes_read_what_they_declare(
@@ -100,7 +107,7 @@ def test_cells_of_other_sizes_read_what_they_declare(
 ) -> None:
     study = replace(tiny.generalise, cells=((1, 2, 4),), duration_s=0.05, seeds=(1,))
     generalise(replace(tiny, generalise=study), results, "classical", untrained_policies)
-    values = spec.cell_values(tiny, "classical")
+    values = dependencies.cell_values(tiny, "classical")
     assert undeclared(set(reads), values) == {"generalise.policies"}
 
 
@@ -109,14 +116,14 @@ def test_the_bound_reads_what_it_declares(tiny: Scenario, results: Path, reads: 
     evaluate(few, results, "classical", untrained_policies)
     reads.clear()
     compute_bound(few, results, results / paths.BOUND)
-    assert undeclared(set(reads), spec.bound_values(tiny)) == set()
+    assert undeclared(set(reads), dependencies.bound_values(tiny)) == set()
 
 
 def test_the_gain_study_reads_what_it_declares(
     tiny: Scenario, results: Path, reads: set[str]
 ) -> None:
     gain_study(tiny, results)
-    undeclared_reads = undeclared(set(reads), spec.gain_study_values(tiny))
+    undeclared_reads = undeclared(set(reads), dependencies.gain_study_values(tiny))
     # The slot loop's constants are built, but the robots run alone.
     unused = ("users.", "traffic.", "radio.", "objective.", "schedulers.", "learning.reward_scale")
     assert {key for key in undeclared_reads if not key.startswith(unused)} == set()
@@ -127,7 +134,7 @@ def test_a_gain_sweep_reads_what_it_declares(
     tiny: Scenario, results: Path, reads: set[str], axis: str
 ) -> None:
     gain_sweep(tiny, results, axis)
-    undeclared_reads = undeclared(set(reads), spec.gain_sweep_values(tiny, axis))
+    undeclared_reads = undeclared(set(reads), dependencies.gain_sweep_values(tiny, axis))
     unused = ("users.", "traffic.", "radio.", "objective.", "schedulers.", "learning.reward_scale")
     assert {key for key in undeclared_reads if not key.startswith(unused)} == set()
 
@@ -137,7 +144,7 @@ def test_stability_reads_what_it_declares(
 ) -> None:
     monkeypatch.setattr(stability, "certified_delays", lambda *_: {})
     stability.write_stability(tiny, results)
-    assert undeclared(set(reads), spec.stability_values(tiny)) == {
+    assert undeclared(set(reads), dependencies.stability_values(tiny)) == {
         *("control.gain", "control.hold_samples")  # of the loop, which does not run
     }
 
@@ -147,37 +154,36 @@ def test_gain_design_reads_what_it_declares(
 ) -> None:
     monkeypatch.setattr(gains_stage, "load_or_build", lambda *_, **__: None)
     gains_stage.design_gains(tiny, "schedule", results / "x.json")
-    assert undeclared(set(reads), spec.gains_values(tiny, "schedule")) == set()
+    assert undeclared(set(reads), dependencies.gains_values(tiny, "schedule")) == set()
 
 
 def test_training_reads_what_it_declares(tiny: Scenario, results: Path, reads: set[str]) -> None:
     from hiersched.runs.train import train_and_log
 
     train_and_log(tiny, "ddpg", results, "code", show=False)
-    assert undeclared(set(reads), spec.train_values(tiny, "ddpg")) == set()
+    assert undeclared(set(reads), dependencies.train_values(tiny, "ddpg")) == set()
 
 
 def changed(scenario: Scenario, key: str, value: Any) -> Scenario:
-    section, name = key.split(".")
-    return replace(scenario, **{section: replace(getattr(scenario, section), **{name: value})})
+    return replaced(scenario, key, value)
 
 
 JOBS: dict[str, Callable[[Scenario], Any]] = {
-    "gains": lambda s: spec.gains_values(s, "schedule"),
-    "gains_0.04": lambda s: spec.gains_values(s, "schedule_0.04"),
-    "train": lambda s: spec.train_values(s, "ddpg"),
-    "evaluate": lambda s: spec.evaluate_values(s, "classical"),
-    "evaluate_ddpg": lambda s: spec.evaluate_values(s, "ddpg"),
-    "gain_study": spec.gain_study_values,
-    "gain_sweep_grid": lambda s: spec.gain_sweep_values(s, "grid"),
-    "gain_sweep_noise": lambda s: spec.gain_sweep_values(s, "noise"),
-    "stability": spec.stability_values,
+    "gains": lambda s: dependencies.gains_values(s, "schedule"),
+    "gains_0.04": lambda s: dependencies.gains_values(s, "schedule_0.04"),
+    "train": lambda s: dependencies.train_values(s, "ddpg"),
+    "evaluate": lambda s: dependencies.evaluate_values(s, "classical"),
+    "evaluate_ddpg": lambda s: dependencies.evaluate_values(s, "ddpg"),
+    "gain_study": dependencies.gain_study_values,
+    "gain_sweep_grid": lambda s: dependencies.gain_sweep_values(s, "grid"),
+    "gain_sweep_noise": lambda s: dependencies.gain_sweep_values(s, "noise"),
+    "stability": dependencies.stability_values,
     **{
-        f"sweep_{axis}": (lambda s, axis=axis: spec.sweep_values(s, axis, "classical"))
-        for axis in spec.SWEPT_KEYS
+        f"sweep_{axis}": (lambda s, axis=axis: dependencies.sweep_values(s, axis, "classical"))
+        for axis in dependencies.SWEPT_KEYS
     },
 }
-SWEEPS = {f"sweep_{axis}" for axis in spec.SWEPT_KEYS}
+SWEEPS = {f"sweep_{axis}" for axis in dependencies.SWEPT_KEYS}
 GAIN_RUNS = {"gain_study", "gain_sweep_grid", "gain_sweep_noise"}
 SLOT_LOOP = {"train", "evaluate", "evaluate_ddpg", *SWEEPS}
 
@@ -195,7 +201,7 @@ SLOT_LOOP = {"train", "evaluate", "evaluate_ddpg", *SWEEPS}
         ("sweeps.load", (0.9, 1.0), {"sweep_load"}),
         ("sweeps.duration_s", 0.2, SWEEPS),
         ("traffic.load", 0.8, SLOT_LOOP - {"sweep_load"}),
-        ("radio.rayleigh_scale", 2.0, (SLOT_LOOP - {"sweep_rayleigh_scale"})),
+        ("radio.fading.scale", 2.0, (SLOT_LOOP - {"sweep_rayleigh_scale"})),
         ("radio.slot_s", 0.005, SLOT_LOOP | GAIN_RUNS),
         ("gain_study.num_robots", 5, {"gain_study"}),
         ("gain_study.sweep_robots", 5, GAIN_RUNS - {"gain_study"}),
@@ -218,8 +224,8 @@ def test_a_value_changes_the_jobs_that_read_it(
 def test_the_parameter_is_canonical(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text("x = 1\n", encoding="utf-8")
-    one = spec.stage_spec("train", {"a": 1, "b": 2}, script)
-    assert one == spec.stage_spec("train", {"b": 2, "a": 1}, script)
-    assert one != spec.stage_spec("train", {"a": 2, "b": 1}, script)
+    one = dependencies.stage_spec("train", {"a": 1, "b": 2}, script)
+    assert one == dependencies.stage_spec("train", {"b": 2, "a": 1}, script)
+    assert one != dependencies.stage_spec("train", {"a": 2, "b": 1}, script)
     assert json.loads(one)["values"] == {"a": 1, "b": 2}
     assert paths.SCENARIO == "scenario.yaml"

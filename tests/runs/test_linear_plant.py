@@ -52,7 +52,7 @@ def test_the_gain_study_stays_on_the_plant(project_root: Path) -> None:
     held = replace(scenario, control=replace(scenario.control, hold_samples=3))
     for method in scenario.gain_study.methods:
         variant = study_scenario(held, method, "adjusted")
-        assert variant.control.plant == "linear"
+        assert variant.plant_name == "linear"
         assert variant.control.hold_samples == (0 if method == "predictor" else 3)
         design = gain_designs(held)[design_of(held, variant)]
-        assert (design.control.method, design.control.plant) == (method, "linear")
+        assert (design.control.method, design.plant_name) == (method, "linear")

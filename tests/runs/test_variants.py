@@ -52,8 +52,11 @@ def test_a_sweep_changes_one_key(tiny: Scenario, axis: str) -> None:
         expected["traffic"]["service_coefficient_mbps"] = 2.0
         expected["control"]["sampling_s"] = 0.04
     else:
-        section, key = SWEPT_KEYS[axis].split(".")
-        expected[section][key] = value
+        *sections, key = SWEPT_KEYS[axis].split(".")
+        part = expected
+        for section in sections:
+            part = part[section]
+        part[key] = value
     assert scenario_to_dict(swept_scenario(tiny, axis, value)) == expected
 
 

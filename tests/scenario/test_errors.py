@@ -18,7 +18,10 @@ from hiersched.scenario import ScenarioError, find_scenario, load_scenario
         ("radio: {slot_s: 0.0}", ["radio.slot_s = 0.0", "must be greater than 0"]),
         ("radio: {num_prb: 5000}", ["radio.num_prb = 5000", "less than or equal to 512"]),
         ("traffic: {reliability: 95}", ["traffic.reliability = 95", "must be less than 1"]),
-        ("traffic: {rate_sensitivity: -0.1}", ["rate_sensitivity = -0.1", "equal to 0"]),
+        (
+            "traffic: {arrivals: {rate_sensitivity: -0.1}}",
+            ["arrivals.rate_sensitivity = -0.1", "equal to 0"],
+        ),
         ("learning: {seeds: [1, -2]}", ["learning.seeds.1 = -2", "greater than or equal to 0"]),
         ("learning: {seeds: []}", ["learning.seeds = []", "at least 1"]),
         ("radio: {slot_s: .inf}", ["radio.slot_s", "inf"]),
@@ -35,8 +38,8 @@ from hiersched.scenario import ScenarioError, find_scenario, load_scenario
         ("radio: {slot_s: 2024-01-01}", ["neither number, text, list nor mapping"]),
         # Not one of the choices.
         (
-            "control: {plant: wireless}",
-            ["control.plant = 'wireless'", "'network', 'split' or 'linear'"],
+            "control: {loop: wireless}",
+            ["control.loop = 'wireless'", "'network' or 'split'"],
         ),
         ("robot: {reference: circle}", ["robot.reference = 'circle'", "'figure_eight'"]),
         (
@@ -75,21 +78,24 @@ from hiersched.scenario import ScenarioError, find_scenario, load_scenario
             ["users.num_urllc + users.num_embb = 30", "at most radio.num_prb = 25"],
         ),
         ("users: {num_urllc: 9}", ["traffic.urllc_offered_mbps", "10 numbers", "one number or 9"]),
-        ("radio: {min_distance_m: 500.0}", ["min_distance_m = 500.0", "radio.cell_radius_m = 400"]),
+        (
+            "radio: {path_loss: {model: macro, min_distance_m: 500.0}}",
+            ["radio.path_loss.min_distance_m = 500.0", "radio.path_loss.cell_radius_m = 400"],
+        ),
         (
             "radio: {tx_power_dbm: -300.0}",
             ["tx_power_dbm = -300.0", "from -202.041 dB", "within -80 dB"],
         ),
         ("radio: {noise_dbm: -400}", ["radio.noise_dbm = -400", "to 432.041 dB", "to 300 dB"]),
         (
-            "radio: {path_loss: macro, cell_radius_m: 80000.0}",
+            "radio: {path_loss: {model: macro, cell_radius_m: 80000.0}}",
             ["to 142.041 dB", "path loss and shadowing included", "within -80 dB"],
         ),
         ("radio: {slot_s: 0.009}", ["radio.slot_s = 0.009", "robot.substep_s = 0.0025"]),
         ("control: {sampling_s: 0.001}", ["control.sampling_s = 0.001", "multiple of"]),
         ("sweeps: {sampling_s: [0.02, 0.021]}", ["sweeps.sampling_s = 0.021", "multiple of"]),
         ("robot: {window_s: 0.015}", ["robot.window_s = 0.015", "radio.slot_s = 0.01"]),
-        ("control: {method: razumikhin}", ["control.method = 'razumikhin'", "plant = 'split'"]),
+        ("control: {method: razumikhin}", ["control.method = 'razumikhin'", "loop = 'split'"]),
         ("control: {hold_samples: -1}", ["control.hold_samples = -1", "equal to 0"]),
         (
             "control: {method: predictor, hold_samples: 4}",
@@ -97,8 +103,8 @@ from hiersched.scenario import ScenarioError, find_scenario, load_scenario
         ),
         *(
             (
-                f"control: {{method: {method}, plant: split}}",
-                [f"control.method = '{method}'", "plant = 'network'"],
+                f"control: {{method: {method}, loop: split}}",
+                [f"control.method = '{method}'", "loop = 'network'"],
             )
             for method in ("predictor", "latency_compensated", "h2")
         ),

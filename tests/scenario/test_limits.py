@@ -6,15 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from hiersched.models.traffic.poisson import MAX_MEAN
 from hiersched.scenario import ScenarioError, load_scenario
-from hiersched.scenario.consistency import MAX_MEAN_BATCHES
 
 ROOT = Path(__file__).resolve().parents[2]
-
-
-def test_the_limit_of_the_arrivals_is_the_kernels():
-    assert MAX_MEAN_BATCHES == MAX_MEAN
 
 
 @pytest.mark.parametrize(

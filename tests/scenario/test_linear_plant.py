@@ -1,4 +1,4 @@
-"""Section `linear_plant`: errors that name key, shape and property."""
+"""Robots that are linear plants: errors that name key, shape and property."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ SECTION = {
 def load_plant(load_text):
     def load(section=None, control=None, **others):
         data = {
-            "control": {"plant": "linear", **(control or {})},
-            "linear_plant": {**SECTION, **(section or {})},
+            "control": control or {},
+            "plant": {"model": "linear", **SECTION, **(section or {})},
             "sweeps": {"sampling_s": [0.02]},
             **others,
         }
@@ -44,23 +44,23 @@ def test_sizes_follow_the_matrices(load_plant, load_text):
 @pytest.mark.parametrize(
     ("section", "words"),
     [
-        ({"A": None}, ["linear_plant.A = null", "needed by control.plant = 'linear'"]),
-        ({"A": [[1.0, 0.02], [0.0]]}, ["linear_plant.A: rows of [1, 2] values"]),
-        ({"A": [[1.0, 0.02]]}, ["linear_plant.A has shape (1, 2)", "square"]),
-        ({"B": [[0.02]]}, ["linear_plant.B has shape (1, 1)", "(2, any)"]),
-        ({"B": [[0.0], [0.0]]}, ["linear_plant: (A, B) is not stabilisable"]),
-        ({"Q": [[1.0, 0.0], [0.0, -1.0]]}, ["linear_plant.Q", "positive semidefinite"]),
-        ({"Q": [[1.0, 0.5], [0.0, 1.0]]}, ["linear_plant.Q", "symmetric"]),
-        ({"R": [[0.0]]}, ["linear_plant.R", "positive definite"]),
-        ({"R": [[1.0, 0.0], [0.0, 1.0]]}, ["linear_plant.R has shape (2, 2)"]),
-        ({"A_d": [[0.1]]}, ["linear_plant.A_d has shape (1, 1)"]),
-        ({"A": [[float("nan"), 0.0], [0.0, 1.0]]}, ["linear_plant.A", "nan"]),
-        ({"process_noise": [0.1]}, ["linear_plant.process_noise = [0.1]: 1 values, must be 2"]),
-        ({"measurement_noise": [0.1, -0.1]}, ["linear_plant.measurement_noise.1 = -0.1"]),
-        ({"input_limits": [1.0, 1.0]}, ["linear_plant.input_limits", "2 values, must be 1"]),
-        ({"error_states": [2]}, ["linear_plant.error_states = [2]", "from 0 to 1"]),
-        ({"error_states": [0, 0]}, ["linear_plant.error_states = [0, 0]", "different"]),
-        ({"C": [[1.0]]}, ["linear_plant.C", "unknown key", "A, A_d, B"]),
+        ({"A": None}, ["plant.A = None", "valid array"]),
+        ({"A": [[1.0, 0.02], [0.0]]}, ["plant.A: rows of [1, 2] values"]),
+        ({"A": [[1.0, 0.02]]}, ["plant.A has shape (1, 2)", "square"]),
+        ({"B": [[0.02]]}, ["plant.B has shape (1, 1)", "(2, any)"]),
+        ({"B": [[0.0], [0.0]]}, ["plant: (A, B) is not stabilisable"]),
+        ({"Q": [[1.0, 0.0], [0.0, -1.0]]}, ["plant.Q", "positive semidefinite"]),
+        ({"Q": [[1.0, 0.5], [0.0, 1.0]]}, ["plant.Q", "symmetric"]),
+        ({"R": [[0.0]]}, ["plant.R", "positive definite"]),
+        ({"R": [[1.0, 0.0], [0.0, 1.0]]}, ["plant.R has shape (2, 2)"]),
+        ({"A_d": [[0.1]]}, ["plant.A_d has shape (1, 1)"]),
+        ({"A": [[float("nan"), 0.0], [0.0, 1.0]]}, ["plant.A", "nan"]),
+        ({"process_noise": [0.1]}, ["plant.process_noise = [0.1]: 1 values, must be 2"]),
+        ({"measurement_noise": [0.1, -0.1]}, ["plant.measurement_noise.1 = -0.1"]),
+        ({"input_limits": [1.0, 1.0]}, ["plant.input_limits", "2 values, must be 1"]),
+        ({"error_states": [2]}, ["plant.error_states = [2]", "from 0 to 1"]),
+        ({"error_states": [0, 0]}, ["plant.error_states = [0, 0]", "different"]),
+        ({"C": [[1.0]]}, ["plant.C", "unknown key", "A, A_d, B"]),
     ],
 )
 def test_faulty_plants_are_refused(load_plant, section, words):
@@ -75,7 +75,7 @@ def test_faulty_plants_are_refused(load_plant, section, words):
     [
         ({"control": {"sampling_s": 0.025}}, ["control.sampling_s = 0.025", "radio.slot_s = 0.01"]),
         ({"sweeps": {"sampling_s": [0.02, 0.04]}}, ["sweeps.sampling_s", "must be [0.02]"]),
-        ({"control": {"method": "razumikhin"}}, ["'razumikhin'", "linear_plant.A_d"]),
+        ({"control": {"method": "razumikhin"}}, ["'razumikhin'", "plant.A_d"]),
         (
             {"section": {"A_d": [[0.0, 0.0], [0.0, 0.0]]}, "control": {"method": "h2"}},
             ["'h2'", "without A_d"],

@@ -6,6 +6,7 @@ from typing import get_args, get_type_hints
 import pytest
 import yaml
 
+from hiersched.models.model import SECTIONS
 from hiersched.policies.index_rules import CLASSICAL
 from hiersched.scenario import (
     Scenario,
@@ -18,7 +19,7 @@ from hiersched.scenario import (
     scenario_to_dict,
     scenario_to_yaml,
 )
-from hiersched.scenario.schema import SchedulerName
+from hiersched.scenario.schema import SchedulerName, model_at
 
 
 @pytest.fixture(params=["paper", "smoke"])
@@ -68,10 +69,10 @@ def test_a_resolved_scenario_with_a_fault_names_where_it_is_from(scenario, confi
 
 def test_overlay_replaces_what_it_names_and_nothing_else(load_text, config):
     plain = load_text("name: plain\n")
-    changed = load_text("name: plain\nradio: {rayleigh_scale: 2.0}\nlearning: {hidden: [8]}\n")
+    changed = load_text("name: plain\nradio: {fading: {scale: 2.0}}\nlearning: {hidden: [8]}\n")
     assert changed == replace(
         plain,
-        radio=replace(plain.radio, rayleigh_scale=2.0),
+        radio=replace(plain.radio, fading=replace(plain.radio.fading, scale=2.0)),
         learning=replace(plain.learning, hidden=(8,)),
     )
     defaults = yaml.safe_load((config / "defaults.yaml").read_text(encoding="utf-8"))
@@ -89,7 +90,7 @@ def test_a_predictor_is_not_held_and_gain_schedules_are(load_text):
 
 def test_scenarios_that_differ_in_a_value_have_other_hashes(load_text):
     plain = load_text("name: plain\n")
-    changed = load_text("name: plain\nradio: {rayleigh_scale: 2.0}\n")
+    changed = load_text("name: plain\nradio: {fading: {scale: 2.0}}\n")
     assert scenario_sha256(changed) != scenario_sha256(plain)
 
 
@@ -120,7 +121,7 @@ def test_table_one_of_the_paper(config):
     assert paper.radio.num_prb == 25
     assert (paper.radio.tx_power_dbm, paper.radio.noise_dbm) == (20.0, -110.0)
     assert (paper.traffic.deadline_s, paper.traffic.reliability) == (0.02, 0.95)
-    assert paper.traffic.rate_sensitivity == 0.1
+    assert paper.traffic.arrivals.rate_sensitivity == 0.1
 
 
 def test_scenarios_are_frozen(scenario):
@@ -131,14 +132,18 @@ def test_scenarios_are_frozen(scenario):
     assert isinstance(hash(scenario), int)
 
 
-def test_defaults_explain_every_key_of_the_schema(config):
+def test_defaults_explain_every_key_of_the_schema(config, load_text):
     keys = {
         f"{section}.{field.name}"
         for section, kind in get_type_hints(Scenario).items()
         if is_dataclass(kind)
         for field in fields(kind)
     }
-    keys.add("learners")
+    keys |= {"plugins", "policies", "learners"}
+    defaults = load_text("")
+    for section in SECTIONS:
+        keys -= {section}
+        keys |= {f"{section}.{field.name}" for field in fields(model_at(defaults, section))}
     notes = parameter_notes(config / "defaults.yaml")
     assert {note.key for note in notes} == keys
     assert len(notes) == len(keys)

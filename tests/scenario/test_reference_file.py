@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from hiersched.runs import spec
+from hiersched.runs import dependencies
 from hiersched.runs.variants import check_variants
 from hiersched.scenario import ScenarioError, scenario_sha256, scenario_to_yaml
 
@@ -52,11 +52,18 @@ def test_points_become_part_of_the_scenario(load_track, load_text):
 def test_another_path_is_another_scenario_and_runs_its_jobs_anew(load_track):
     one, other = load_track(rows()), load_track(rows((5, "x", "0.2988")))
     assert scenario_sha256(one) != scenario_sha256(other)
-    for values in (partial(spec.train_values, learner="ddpg"), spec.gain_study_values):
+    for values in (
+        partial(dependencies.train_values, learner="ddpg"),
+        dependencies.gain_study_values,
+    ):
         assert values(one) != values(other)
-    assert spec.evaluate_values(one, "classical") != spec.evaluate_values(other, "classical")
+    assert dependencies.evaluate_values(one, "classical") != dependencies.evaluate_values(
+        other, "classical"
+    )
     # The gains are designed for robot.speed_mps, whatever the path.
-    assert spec.gains_values(one, "schedule") == spec.gains_values(other, "schedule")
+    assert dependencies.gains_values(one, "schedule") == dependencies.gains_values(
+        other, "schedule"
+    )
 
 
 @pytest.mark.parametrize("turn", [2 * math.pi, -2 * math.pi])

@@ -10,11 +10,14 @@ from hiersched.models.plant.unicycle import LANES
 from hiersched.simulator import Simulator
 
 
-def vary(scenario, sections):
-    """Replace values by section: vary(scenario, {"radio": {"num_prb": 7}})."""
+def vary(thing, values):
+    """Replace values, in sections and models as well: vary(scenario, {"radio": {"num_prb": 7}})."""
     return replace(
-        scenario,
-        **{name: replace(getattr(scenario, name), **new) for name, new in sections.items()},
+        thing,
+        **{
+            name: vary(getattr(thing, name), new) if isinstance(new, dict) else new
+            for name, new in values.items()
+        },
     )
 
 

@@ -66,7 +66,11 @@ def test_arrivals_beyond_the_quantile(make_simulator):
     message = r"user 7: up to 1045 batches a slot on average; at most 600 \(lower traffic\.load"
     with pytest.raises(ValueError, match=message):
         make_simulator(
-            traffic={"embb_offered_mbps": (1.0, 1.0, 1.0, 1100.0), "batch_packets": 1, "load": 0.95}
+            traffic={
+                "embb_offered_mbps": (1.0, 1.0, 1.0, 1100.0),
+                "arrivals": {"batch_packets": 1},
+                "load": 0.95,
+            }
         )
 
 

@@ -9,11 +9,11 @@ import pytest
 
 from hiersched.control import build_schedule, hold_delays
 from hiersched.core.randomness import world_keys
-from hiersched.scenario.schema import LinearPlant
+from hiersched.models.plant.linear import Linear
 from hiersched.simulator import Simulator
 from hiersched.simulator.loop_gains import loop_gains, plant_of
 
-PLANT = LinearPlant(
+PLANT = Linear(
     A=((1.0, 0.02, 0.0), (0.0, 1.0, 0.02), (0.0, 0.0, 0.9)),
     A_d=None,
     B=((0.0, 0.0), (0.02, 0.0), (0.0, 0.1)),
@@ -32,12 +32,12 @@ def linear_simulator(smoke_scenario):
     """Simulator of four plants with its schedule, and the scenario."""
 
     def make(num_envs=2, num_slots=120, plant=PLANT, slot_s=0.01, **control):
-        own = {"plant": "linear", "max_delay_s": 0.08, **control}
+        own = {"max_delay_s": 0.08, **control}
         scenario = replace(
             smoke_scenario,
             control=replace(smoke_scenario.control, **own),
             radio=replace(smoke_scenario.radio, slot_s=slot_s),
-            linear_plant=plant,
+            plant=plant,
         )
         model = plant_of(scenario)
         schedule = build_schedule(model, scenario.max_delay_steps, scenario.control.method)
@@ -50,7 +50,7 @@ def linear_simulator(smoke_scenario):
 
 def twin(simulator, gains, record, env, robot):
     """States, inputs and whether they met their limits, sample by sample."""
-    section, control = simulator.scenario.linear_plant, simulator.scenario.control
+    section, control = simulator.scenario.plant, simulator.scenario.control
     A, B = np.array(section.A), np.array(section.B)
     A_d = np.zeros_like(A) if section.A_d is None else np.array(section.A_d)
     limits = np.array(section.input_limits)

@@ -18,14 +18,14 @@ def twin(scenario, record, t):
     mask = record.prb_owner[:, t, None, :] == np.arange(s.num_users)[:, None]
     r = (prb_rate * mask).sum(axis=-1)
     # Arrivals: λ0 such that the offered load holds at the reference rate; D_i = the deadline.
-    load, alpha = s.traffic.load, s.traffic.rate_sensitivity
+    load, alpha = s.traffic.load, s.traffic.arrivals.rate_sensitivity
     interval_s = tau + s.traffic.deadline_s
     urllc = load * np.array(s.traffic.urllc_offered_mbps)
-    base = urllc * tau / interval_s + alpha * s.traffic.reference_rate_mbps
+    base = urllc * tau / interval_s + alpha * s.traffic.arrivals.reference_rate_mbps
     wanted = np.full_like(r, load * s.traffic.embb_offered_mbps)
     wanted[:, :n] = base - alpha * r[:, :n]
     seconds = np.where(np.arange(s.num_users) < n, interval_s, tau)
-    batch = s.traffic.batch_packets
+    batch = s.traffic.arrivals.batch_packets
     mean = np.maximum(0, wanted) * seconds / packet_mbit / batch
     arrivals = batch * stats.poisson.ppf(record.arrival_uniform[:, t], mean)
     offset = np.zeros_like(r)
@@ -97,9 +97,12 @@ def assert_twin(simulator, record):
         ("pf", {"objective": {"constraint": "measured"}, "traffic": {"load": 1.1}}),
         ("max_weight", {"objective": {"constraint": "surrogate"}}),
         # Noisy channel and one PRB carrying far more than is wanted: the clamp acts.
-        ("edf", {"radio": {"noise_dbm": 15.0}, "traffic": {"batch_packets": 1}}),
+        ("edf", {"radio": {"noise_dbm": 15.0}, "traffic": {"arrivals": {"batch_packets": 1}}}),
         # Rates far above what was assumed: the clamp of the arrivals acts.
-        ("max_rate", {"traffic": {"rate_sensitivity": 0.4, "reference_rate_mbps": 5.0}}),
+        (
+            "max_rate",
+            {"traffic": {"arrivals": {"rate_sensitivity": 0.4, "reference_rate_mbps": 5.0}}},
+        ),
     ],
 )
 def test_slots_are_the_twins(make_simulator, policy, sections):

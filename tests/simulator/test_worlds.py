@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hiersched.policies.index_rules import CLASSICAL
-from hiersched.policies.policy import LoggedDecisions
 
 from hiersched.core.randomness import STREAM_ARRIVAL, draw_exponentials, draw_uniforms, world_keys
+from hiersched.models.channel.path_loss import Macro
+from hiersched.models.channel.rayleigh import Rayleigh
+from hiersched.policies.index_rules import CLASSICAL
+from hiersched.policies.policy import LoggedDecisions
 from hiersched.simulator.record import SlotRecord
 
 WORLD = ("fading_power", "mean_fading_power", "arrival_uniform", "robot_normal")
@@ -30,7 +32,7 @@ def test_batch_is_single_where_rows_are_no_multiple_of_four(make_simulator, asse
     """3 + 2 users and 7 PRBs: 35 fading powers, 18 normals."""
     odd = {
         "users": {"num_urllc": 3, "num_embb": 2},
-        "radio": {"num_prb": 7, "path_loss": "macro"},
+        "radio": {"num_prb": 7, "path_loss": Macro()},
         "traffic": {"urllc_offered_mbps": (10.0, 14.0, 18.0)},
     }
     keys = world_keys("batch", 2, 5)
@@ -92,7 +94,7 @@ def test_the_horizon_changes_nothing(make_simulator, assert_same_bits):
 def test_any_slot_can_be_drawn_again_alone(make_simulator):
     simulator = make_simulator()
     record = simulator.run("pf")
-    scale = np.float32(2 * simulator.scenario.radio.rayleigh_scale**2)
+    scale = np.float32(2 * simulator.scenario.radio.fading.scale**2)
     for env, slot in ((0, 0), (1, 17), (0, 59)):
         key = simulator.state.key[env]
         uniform = np.empty(8)
@@ -105,7 +107,7 @@ def test_any_slot_can_be_drawn_again_alone(make_simulator):
 
 @pytest.mark.parametrize("scale", [0.5, 2.0])
 def test_mean_fading_power_is_twice_the_squared_scale(make_simulator, scale):
-    record = make_simulator(4, 200, radio={"rayleigh_scale": scale}).run("round_robin")
+    record = make_simulator(4, 200, radio={"fading": Rayleigh(scale=scale)}).run("round_robin")
     power = record.fading_power.astype(np.float64)
     mean = 2 * scale**2
     assert power.mean() == pytest.approx(mean, abs=4 * mean / np.sqrt(power.size))

@@ -12,7 +12,7 @@ from hiersched.core.compiled import kernel
 
 
 class OrderScratch(NamedTuple):
-    """Work arrays: users in their order (U,), their rates so far (U,), which PRBs are taken (K,)."""
+    """Work arrays: users in their order (U,), rates so far (U,), which PRBs are taken (K,)."""
 
     order: NDArray[np.int64]
     user_rate: NDArray[np.float64]

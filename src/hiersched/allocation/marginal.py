@@ -239,6 +239,35 @@ def _greatest(gain: NDArray[np.float64]) -> int:
 
 
 @inner_kernel(forceinline=True)
+def _first_log_gains(
+    rate: NDArray[np.float32],
+    weight: NDArray[np.float64],
+    scratch: AllocationScratch,
+    num_free: int,
+) -> None:
+    """Gains w log(1 + r / R) of every user by every free PRB.
+
+    The logarithms are one flat loop: rows of users are too short for full vectors.
+    """
+    num_users = rate.shape[0]
+    gain, share = scratch.gain, scratch.share
+    lanes = share.shape[0]
+    for user in range(num_users):
+        share[user] = F32(1.0) / F32(scratch.user_rate[user])
+    flat = scratch.ratio.reshape(-1)[: num_free * lanes]
+    for i in range(num_free):
+        k = scratch.free_prb[i]
+        for user in range(num_users):
+            flat[i * lanes + user] = F32(1.0) + rate[user, k] * share[user]
+    flat_gain = gain.reshape(-1)
+    for place in range(flat.shape[0]):
+        flat_gain[place] = np.float64(ln_f32(flat[place]))
+    for i in range(num_free):
+        for user in range(num_users):
+            gain[i, user] *= weight[user]
+
+
+@inner_kernel(forceinline=True)
 def _first_gains(
     utility: int,
     rate: NDArray[np.float32],
@@ -252,23 +281,9 @@ def _first_gains(
     num_users = rate.shape[0]
     have = scratch.user_rate
     gain = scratch.gain
-    ratio = scratch.ratio
-    share = scratch.share
-    lanes = share.shape[0]
+    lanes = scratch.share.shape[0]
     if utility == UTILITY_LOG:
-        for user in range(num_users):
-            share[user] = F32(1.0) / F32(have[user])
-        flat = ratio.reshape(-1)[: num_free * lanes]
-        for i in range(num_free):
-            k = scratch.free_prb[i]
-            for user in range(num_users):
-                flat[i * lanes + user] = F32(1.0) + rate[user, k] * share[user]
-        flat_gain = gain.reshape(-1)
-        for place in range(flat.shape[0]):
-            flat_gain[place] = np.float64(ln_f32(flat[place]))
-        for i in range(num_free):
-            for user in range(num_users):
-                gain[i, user] *= weight[user]
+        _first_log_gains(rate, weight, scratch, num_free)
     else:
         for i in range(num_free):
             k = scratch.free_prb[i]
@@ -308,15 +323,7 @@ def _give_out(
     best = scratch.best
     free_prb = scratch.free_prb
     for left in range(num_free - 1, -1, -1):
-        place = 0
-        for i in range(1, left + 1):
-            here, there = gain[i, best[i]], gain[place, best[place]]
-            if here > there:
-                place = i
-            elif utility == UTILITY_CAPPED and here == there:
-                # What is left of a need fits into any of several PRBs: the one of most rate.
-                if rate[best[i], free_prb[i]] > rate[best[place], free_prb[place]]:
-                    place = i
+        place = _best_place(utility, rate, scratch, left)
         user = best[place]
         if utility == UTILITY_CAPPED and gain[place, user] <= 0.0:
             return left + 1
@@ -333,18 +340,30 @@ def _give_out(
             if utility == UTILITY_LAGRANGIAN or utility == UTILITY_CAPPED:
                 k = free_prb[i]
                 gain[i, user] = _marginal(
-                    utility,
-                    user,
-                    rate[user, k],
-                    have[user],
-                    weight[user],
-                    need[user],
-                    terms,
+                    utility, user, rate[user, k], have[user], weight[user], need[user], terms
                 )
                 best[i] = _greatest(gain[i])
             elif utility == UTILITY_LOG and best[i] == user:
                 best[i] = _still_greatest(gain[i], user, free_prb[i], rate, have, weight)
     return 0
+
+
+@njit(inline="always")
+def _best_place(
+    utility: int, rate: NDArray[np.float32], scratch: AllocationScratch, last: int
+) -> int:
+    """Place, up to `last`, of the free PRB that is worth most to the user that wants it most."""
+    gain, best, free_prb = scratch.gain, scratch.best, scratch.free_prb
+    place = 0
+    for i in range(1, last + 1):
+        here, there = gain[i, best[i]], gain[place, best[place]]
+        if here > there:
+            place = i
+        elif utility == UTILITY_CAPPED and here == there:
+            # What is left of a need fits into any of several PRBs: the one of most rate.
+            if rate[best[i], free_prb[i]] > rate[best[place], free_prb[place]]:
+                place = i
+    return place
 
 
 @inner_kernel(forceinline=True)

@@ -37,7 +37,7 @@ def _cache_folder() -> Path:
 
 
 if not os.environ.get("NUMBA_CACHE_DIR"):
-    numba.config.CACHE_DIR = str(_cache_folder())  # type: ignore[attr-defined]
+    numba.config.CACHE_DIR = str(_cache_folder())
 
 kernel = partial(njit, error_model="numpy", _nrt=False, cache=True, no_cfunc_wrapper=True)
 """Decorator of the kernels, compiled once a machine.
@@ -48,7 +48,7 @@ nobody uses and whose compilation takes a tenth of the whole.
 """
 
 
-class _InnerKernel(CPUDispatcher):  # type: ignore[misc]
+class _InnerKernel(CPUDispatcher):
     """A kernel without an entry for Python: a call from there would end the process."""
 
     __slots__ = ()
@@ -69,7 +69,7 @@ def inner_kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     return decorate
 
 
-class _Notice(event.Listener):  # type: ignore[misc]
+class _Notice(event.Listener):
     """Says once a process that kernels are being compiled, which takes a while."""
 
     def __init__(self) -> None:

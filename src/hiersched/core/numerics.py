@@ -91,8 +91,8 @@ def ordered_f64(x: float) -> np.int64:
 
 
 @njit(inline="always")
-def log2_f64(x: float) -> float:
-    """Logarithm to base 2 of a positive normal double; error below 2 ulp of max(1, |log2 x|).
+def _ln_parts_f64(x: float) -> tuple[float, float]:
+    """Split a positive normal double 2^n m, m within [sqrt(1/2), sqrt(2)), into n and ln m.
 
     Source: the argument reduction and polynomial of FreeBSD's `e_log.c`.
     """
@@ -110,7 +110,31 @@ def log2_f64(x: float) -> float:
     r = fma(r, z, 6.666666666666735130e-01)
     r = r * z
     half_square = 0.5 * f * f
-    return fma(f - fma(-s, half_square + r, half_square), _LOG2_E, exponent)
+    return exponent, f - fma(-s, half_square + r, half_square)
+
+
+@njit(inline="always")
+def log2_f64(x: float) -> float:
+    """Logarithm to base 2 of a positive normal double; error below 2 ulp of max(1, |log2 x|)."""
+    exponent, ln_mantissa = _ln_parts_f64(x)
+    return fma(ln_mantissa, _LOG2_E, exponent)
+
+
+@njit(inline="always")
+def ln_f64(x: float) -> float:
+    """Natural logarithm of a positive normal double; error below 2 ulp."""
+    exponent, ln_mantissa = _ln_parts_f64(x)
+    return fma(_LN2_HIGH, exponent, fma(_LN2_LOW, exponent, ln_mantissa))
+
+
+@njit(inline="always")
+def log1p_f64(x: float) -> float:
+    """ln(1 + x) of a finite double x > -1; error below 2 ulp.
+
+    What rounding takes from 1 + x comes back as a term of first order.
+    """
+    y = 1.0 + x
+    return ln_f64(y) + (x - (y - 1.0)) / y
 
 
 @njit(inline="always")

@@ -34,7 +34,7 @@ _HEADER = ("meminfo", "parent", "nitems", "itemsize", "data")
 _WORD = 8
 
 
-class PointerType(types.Type):  # type: ignore[misc]
+class PointerType(types.Type):
     """Pointer to the words of a NamedTuple; `sources` tells apart what else a kernel is made of."""
 
     def __init__(self, struct: types.NamedTuple, sources: str = "") -> None:
@@ -49,7 +49,7 @@ class PointerType(types.Type):  # type: ignore[misc]
 
 
 @register_model(PointerType)
-class _PointerModel(models.PrimitiveModel):  # type: ignore[misc]
+class _PointerModel(models.PrimitiveModel):
     def __init__(self, manager: Any, kind: PointerType) -> None:
         super().__init__(manager, kind, ir.IntType(64))
 
@@ -61,7 +61,7 @@ def _num_words(kind: types.Type) -> int:
 
 
 @infer_getattr
-class _PointerAttributes(AttributeTemplate):  # type: ignore[misc]
+class _PointerAttributes(AttributeTemplate):
     key = PointerType
 
     def generic_resolve(self, pointer: PointerType, name: str) -> types.Type | None:
@@ -71,7 +71,7 @@ class _PointerAttributes(AttributeTemplate):  # type: ignore[misc]
         return PointerType(kind) if isinstance(kind, types.BaseNamedTuple) else kind
 
 
-@lower_getattr_generic(PointerType)  # type: ignore[misc]
+@lower_getattr_generic(PointerType)
 def _load_field(context: Any, builder: Any, pointer: PointerType, value: Any, name: str) -> Any:
     """Load a field; a NamedTuple within is an address further on."""
     word = ir.IntType(64)
@@ -147,12 +147,12 @@ def _fill(value: Any, kind: types.Type, words: NDArray[np.uint64]) -> None:
         words.view(dtype)[0] = value
 
 
-@typeof_impl.register(Pointer)  # type: ignore[misc]
+@typeof_impl.register(Pointer)
 def _typeof(value: Pointer, context: Any) -> PointerType:
     return value.kind
 
 
-@unbox(PointerType)  # type: ignore[misc]
+@unbox(PointerType)
 def _unbox(kind: PointerType, value: Any, c: Any) -> Any:
     address = c.pyapi.object_getattr_string(value, "address")
     native = c.pyapi.long_as_longlong(address)

@@ -12,10 +12,11 @@ import importlib.util
 import sys
 from collections.abc import Callable, Iterator
 from functools import cache
-from importlib.metadata import entry_points
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Generic, TypeVar
+from weakref import WeakSet
 
 ENTRY_POINTS = "hiersched.models"
 """Group of the entry points that name plug-in modules."""
@@ -31,6 +32,9 @@ class UnknownNameError(ValueError):
     """A name that nothing has been registered under; the message lists those that there are."""
 
 
+_REGISTRIES: WeakSet[Registry[Any]] = WeakSet()
+
+
 class Registry(Generic[T]):
     """Things of one kind by name.
 
@@ -43,6 +47,8 @@ class Registry(Generic[T]):
     def __init__(self, kind: str) -> None:
         self.kind = kind
         self._found: dict[str, T | str] = {}
+        self._origins: dict[str, str] = {}
+        _REGISTRIES.add(self)
 
     def add(self, name: str, thing: T | str) -> None:
         """Register a thing, or where to import it from when it is first asked for (``a.b:c``).
@@ -52,10 +58,11 @@ class Registry(Generic[T]):
         PluginError
             If the name is taken by something else.
         """
-        old = self._found.get(name)
-        if old is not None and not _same(old, thing):
-            raise PluginError(f"{self.kind} {name!r}: the name is taken by {_origin(old)}")
-        self._found[name] = thing
+        origin = _origin(thing)
+        old = self._origins.get(name, origin)
+        if old != origin:
+            raise PluginError(f"{self.kind} {name!r}: the name is taken by {old}")
+        self._found[name], self._origins[name] = thing, origin
 
     def register(self, name: str) -> Callable[[T], T]:
         """Register the decorated thing."""
@@ -76,15 +83,24 @@ class Registry(Generic[T]):
         """
         load_installed_plugins()
         if name not in self._found:
-            raise UnknownNameError(
-                f"{self.kind} {name!r}: must be one of {', '.join(self._found)} (a plug-in's are "
-                "known where `plugins` names its file)"
-            )
+            raise UnknownNameError(f"{self.kind} {name!r}: {self.allowed()}")
         thing = self._found[name]
         if isinstance(thing, str):
             module, _, attribute = thing.partition(":")
             thing = self._found[name] = getattr(importlib.import_module(module), attribute)
         return thing
+
+    def loaded(self, name: str) -> T | None:
+        """Return the thing of a name, or None where it is not there or not imported yet."""
+        thing = self._found.get(name)
+        return None if isinstance(thing, str) else thing
+
+    def allowed(self) -> str:
+        """Say which names there are, for a message about another one."""
+        return (
+            f"must be one of {', '.join(self)} (those of a plug-in are known where `plugins` names "
+            "its file)"
+        )
 
     def __contains__(self, name: object) -> bool:
         load_installed_plugins()
@@ -93,80 +109,140 @@ class Registry(Generic[T]):
     def __iter__(self) -> Iterator[str]:
         """Names in the order of their registration."""
         load_installed_plugins()
-        return iter(self._found)
+        return iter(tuple(self._found))
 
-
-def _same(old: Any, new: Any) -> bool:
-    """Whether a file was loaded once more, or an import was only announced before."""
-    return _origin(old) == _origin(new)
+    def forget(self, file: str) -> None:
+        """Remove what a file has registered, before it is run once more."""
+        for name, origin in list(self._origins.items()):
+            if origin.startswith(f"{file}:"):
+                del self._found[name], self._origins[name]
 
 
 def _origin(thing: Any) -> str:
+    """Return file and name of a thing: the same where the file is run once more."""
     if isinstance(thing, str):
         return thing
-    module = sys.modules.get(getattr(thing, "__module__", ""), None)
-    file = getattr(module, "__file__", None)
     name = getattr(thing, "__qualname__", type(thing).__qualname__)
-    return f"{file or getattr(thing, '__module__', '?')}:{name}"
+    module = getattr(thing, "__module__", "?")
+    file = getattr(sys.modules.get(module), "__file__", None)
+    return f"{file or module}:{name}"
 
 
 @cache
-def load_installed_plugins() -> tuple[str, ...]:
-    """Import the modules that installed packages name; returns their names.
+def _import_entry_point(point: EntryPoint) -> ModuleType:
+    try:
+        found = point.load()
+    except Exception as error:
+        raise PluginError(
+            f"entry point {point.name} = {point.value}: {type(error).__name__}: {error}"
+        ) from error
+    return found if isinstance(found, ModuleType) else sys.modules[found.__module__]
+
+
+@cache
+def _installed() -> tuple[EntryPoint, ...]:
+    return tuple(entry_points(group=ENTRY_POINTS))
+
+
+_LOADING: list[str] = []
+
+
+def load_installed_plugins() -> dict[str, ModuleType]:
+    """Import the modules that installed packages name; returns them by the name of the entry point.
 
     Raises
     ------
     PluginError
         If one of them cannot be imported.
     """
-    names = []
-    for point in entry_points(group=ENTRY_POINTS):
+    if _LOADING:  # one of them asks a registry while it is imported
+        return {}
+    modules = {}
+    for point in _installed():
+        _LOADING.append(point.name)
         try:
-            point.load()
-        except Exception as error:
-            raise PluginError(f"entry point {point.name} = {point.value}: {error}") from error
-        names.append(point.name)
-    return tuple(names)
+            modules[point.name] = _import_entry_point(point)
+        finally:
+            _LOADING.pop()
+    return modules
 
 
 def load_plugin(file: Path) -> ModuleType:
     """Import a plug-in file; one that is loaded already and has not changed is not run again.
 
-    Its folder is on `sys.path` from then on, so that it can import its neighbours.
+    Its folder is on `sys.path` from then on, so that it can import its neighbours. What an older
+    version of the file has registered is forgotten.
 
     Raises
     ------
     PluginError
-        If there is no such file, or it raises.
+        If there is no such file, it raises, or its name is that of another module.
     """
     path = file.resolve()
     if not path.is_file() or path.suffix != ".py":
         raise PluginError(f"{file}: no such Python file")
-    name = path.stem
-    text = path.read_bytes()
-    loaded = sys.modules.get(name)
-    if loaded is not None:
-        if getattr(loaded, "__file__", None) != str(path):
-            raise PluginError(
-                f"{file}: there is another module {name!r} already "
-                f"({getattr(loaded, '__file__', 'built in')}); give the plug-in another name"
-            )
-        if getattr(loaded, "__plugin_sha256__", None) == hashlib.sha256(text).hexdigest():
-            return loaded
+    sha256 = hashlib.sha256(path.read_bytes()).hexdigest()
+    loaded = sys.modules.get(path.stem)
+    if getattr(loaded, "__plugin_sha256__", None) == sha256 and _file_of(loaded) == path:
+        assert loaded is not None  # it has a hash
+        return loaded
+    _check_name(file, path, loaded)
     folder = str(path.parent)
     if folder not in sys.path:
         sys.path.append(folder)
-    spec = importlib.util.spec_from_file_location(name, path)
-    assert spec is not None and spec.loader is not None  # it is a .py file
+    return _run(file, path, sha256)
+
+
+def _file_of(module: ModuleType | None) -> Path | None:
+    file = getattr(module, "__file__", None)
+    return None if file is None else Path(file).resolve()
+
+
+def _check_name(file: Path, path: Path, loaded: ModuleType | None) -> None:
+    """Refuse a plug-in that would stand in the way of another module, loaded or not."""
+    name = path.stem
+    if not name.isidentifier():
+        raise PluginError(f"{file}: {name!r} cannot be the name of a module")
+    if loaded is not None:
+        other: object = _file_of(loaded) or "built in"
+    else:
+        spec = importlib.util.find_spec(name)
+        other = path if spec is None or spec.origin is None else spec.origin
+    if other not in (path, str(path)):
+        raise PluginError(
+            f"{file}: there is another module {name!r} already ({other}); give the plug-in "
+            "another name"
+        )
+
+
+def _run(file: Path, path: Path, sha256: str) -> ModuleType:
+    """Run a plug-in as a module; nothing of it stays behind where it raises."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    assert spec is not None  # it is a .py file
+    assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    module.__plugin_sha256__ = hashlib.sha256(text).hexdigest()  # type: ignore[attr-defined]
-    sys.modules[name] = module
+    module.__plugin_sha256__ = sha256  # type: ignore[attr-defined]
+    _forget(path)
+    sys.modules[path.stem] = module
     try:
         spec.loader.exec_module(module)
-    except PluginError:
-        del sys.modules[name]
-        raise
     except Exception as error:
-        del sys.modules[name]
-        raise PluginError(f"{file}: {type(error).__name__}: {error}") from error
+        _forget(path)
+        del sys.modules[path.stem]
+        what = str(error) if isinstance(error, PluginError) else f"{type(error).__name__}: {error}"
+        raise PluginError(f"{file}: {what}") from error
     return module
+
+
+def _forget(path: Path) -> None:
+    for registry in _REGISTRIES:
+        registry.forget(str(path))
+
+
+ALGORITHMS: Registry[Any] = Registry("learning.algorithm")
+"""Learning algorithms: callables (scenario, generators) -> `learning.algorithm.Algorithm`.
+
+A class may have an attribute `Parameters`, a dataclass: what `learning.parameters` has to be."""
+BUILT_IN_ALGORITHMS = ("ddpg", "a2c")
+ALGORITHMS.add("ddpg", "hiersched.learning.off_policy:Ddpg")
+ALGORITHMS.add("a2c", "hiersched.learning.a2c:A2c")

@@ -111,7 +111,7 @@ def call_plug(plug: Any, constants: Any, state: Any, slot: Any, env: int) -> Non
     call_at(plug.kernel, plug.words, constants, state, slot, np.int64(env))
 
 
-@intrinsic  # type: ignore[misc]
+@intrinsic
 def call_at(typing_context: Any, address: Any, *arguments: Any) -> Any:
     """Call the kernel at an address that was compiled for just these types."""
     inner = tuple(types.unliteral(argument) for argument in arguments)

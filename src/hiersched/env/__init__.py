@@ -9,7 +9,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from hiersched.env.core import SlotLoop, action_weights
-from hiersched.env.features import FEATURE_VERSION, FEATURES, agent_views, user_features
+from hiersched.env.features import agent_views
+from hiersched.policies.features import FEATURE_VERSION, FEATURES
 
 if TYPE_CHECKING:
     from hiersched.env.parallel import SlicingParallelEnv

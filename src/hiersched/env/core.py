@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.env.features import user_features
 from hiersched.scenario.schema import Learning, Scenario
 from hiersched.simulator import Gains, Simulator, SlotRecord
 
@@ -76,8 +75,8 @@ class SlotLoop:
 
     def features(self) -> NDArray[np.float32]:
         """Features at the start of the coming slot, shape (E, U, F)."""
-        return user_features(
-            self.simulator, self.multipliers, observe_robots=self._learning.observe_robots
+        return self.simulator.features(
+            self.multipliers, observe_robots=self._learning.observe_robots
         )
 
     def step(self, actions: NDArray[np.floating]) -> NDArray[np.float32]:

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
 from hiersched.env.core import SlotLoop
-from hiersched.env.features import agent_views, num_features
+from hiersched.env.features import agent_views
 from hiersched.env.vector import slot_info
 from hiersched.env.worlds import EpisodeWorlds
+from hiersched.policies.features import num_features
 from hiersched.scenario.schema import Scenario
 from hiersched.simulator import Gains
 

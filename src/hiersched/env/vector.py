@@ -11,8 +11,8 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from hiersched.env.core import SlotLoop, task_costs
-from hiersched.env.features import num_features
 from hiersched.env.worlds import EpisodeWorlds
+from hiersched.policies.features import num_features
 from hiersched.scenario.schema import Scenario
 from hiersched.simulator import Gains, SlotRecord
 

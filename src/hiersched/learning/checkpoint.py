@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 
-from hiersched.env.features import FEATURE_VERSION
+from hiersched.policies.features import FEATURE_VERSION
 
 _FORMAT = 2
 

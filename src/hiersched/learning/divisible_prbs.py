@@ -7,7 +7,7 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from hiersched.env.features import FEATURES, NEED_SCALE
+from hiersched.policies.features import FEATURES, NEED_SCALE
 
 _NEED, _LOG_PRB_RATE = FEATURES.index("need"), FEATURES.index("log_prb_rate")
 

@@ -15,8 +15,8 @@ from torch import Tensor
 from torch.nn import functional
 
 from hiersched.core.randomness import world_key
-from hiersched.env.features import NEED_SCALE, num_features
 from hiersched.learning.stack import Layers
+from hiersched.policies.features import NEED_SCALE, num_features
 from hiersched.scenario.schema import Learning, Users
 
 NUM_AGENTS = 2

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hiersched.env.features import num_features
 from hiersched.learning.algorithm import Losses, Outcome, exploration_spread, seeded_normals
 from hiersched.learning.ddpg import Learner
 from hiersched.learning.replay_buffer import ReplayBuffer
+from hiersched.policies.features import num_features
 from hiersched.scenario.schema import Scenario
 
 

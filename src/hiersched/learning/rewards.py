@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hiersched.env.core import task_costs
-from hiersched.env.features import MULTIPLIER, multiplier_feature
+from hiersched.policies.features import MULTIPLIER, multiplier_feature
 from hiersched.scenario.schema import Scenario
 from hiersched.simulator import SlotRecord
 

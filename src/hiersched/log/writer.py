@@ -63,7 +63,7 @@ class LogWriter:
         If an argument is none of the allowed.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913  (what a file is, by keyword; a class of options would hide it)
         self,
         path: str | os.PathLike[str],
         dims: LogDims,

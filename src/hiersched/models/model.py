@@ -4,22 +4,29 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar, get_args, get_type_hints
+from dataclasses import dataclass, fields
+from typing import (
+    TYPE_CHECKING,
+    Any,
+    ClassVar,
+    Literal,
+    NamedTuple,
+    TypeVar,
+    get_args,
+    get_type_hints,
+)
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict
 
+from hiersched.core.parameters import STRICT, Note
 from hiersched.core.registry import PluginError, Registry
 from hiersched.models.plant.feedback import LoopMemory, loop_memory
 
 if TYPE_CHECKING:
     from hiersched.control import DelayedPlant
     from hiersched.scenario.schema import Scenario
-
-STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-"""Of every section of a scenario: no unknown key, no conversion, no infinity."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,6 +77,9 @@ class Belief(NamedTuple):
 class Model:
     """Base of all models: a frozen dataclass with `model: Literal["name"]` and its parameters.
 
+    A key with a default may be left out of a scenario. A `Note` in the annotation of a key says
+    what it means in the table of parameters.
+
     Attributes
     ----------
     log_fields
@@ -77,7 +87,24 @@ class Model:
         user, or a robot for a plant. Its kernel writes them into its words of the same name.
     """
 
+    if TYPE_CHECKING:
+
+        @property
+        def model(self) -> str:
+            """Name of the model: a field of every subclass."""
+
+    __pydantic_config__: ClassVar[ConfigDict] = STRICT
     log_fields: ClassVar[Mapping[str, str]] = {}
+
+    @classmethod
+    def notes(cls) -> dict[str, Note]:
+        """Return what is said of each key; a key of which nothing is said is assumed."""
+        hints = get_type_hints(cls, include_extras=True)
+        said = {
+            field.name: [note for note in get_args(hints[field.name])[1:] if isinstance(note, Note)]
+            for field in fields(cls)  # type: ignore[arg-type]  # models are dataclasses
+        }
+        return {key: notes[0] if notes else Note("", "assumed", "") for key, notes in said.items()}
 
     def faults(self, scenario: Scenario) -> list[str]:
         """Say what does not fit the rest of the scenario, as ``key = value: what is allowed``."""
@@ -98,6 +125,10 @@ class PathLoss(Model):
         """Return the large-scale gains in the world `key`, linear, shape (num_users,)."""
         raise NotImplementedError
 
+    def least_gain_db(self) -> float:
+        """Return a gain below which no user's is, for the check of the link budget [dB]."""
+        return 0.0
+
 
 class Arrivals(Model):
     """What is offered to the cell."""
@@ -106,9 +137,31 @@ class Arrivals(Model):
         """Return what the base station expects."""
         raise NotImplementedError
 
+    def packets_at_once(self) -> float:
+        """Return how many packets come together: shares of late ones differ by this many."""
+        return 1.0
+
 
 class Plant(Model):
-    """What the robots are."""
+    """What the robots are.
+
+    Attributes
+    ----------
+    has_pose
+        Whether robots have a position, for what looks at it.
+    chooses_loop
+        Whether `control.loop` decides what crosses the network.
+    design_keys
+        Keys on which `design` depends; None: on all.
+    """
+
+    has_pose: ClassVar[bool] = False
+    chooses_loop: ClassVar[bool] = False
+    design_keys: ClassVar[tuple[str, ...] | None] = None
+
+    def loop(self, scenario: Scenario) -> Literal["network", "split"]:
+        """Return what crosses the network: all feedback, or a part."""
+        return scenario.control.loop if self.chooses_loop else "network"
 
     def sizes(self, scenario: Scenario) -> tuple[int, int, int]:
         """Return n states, m inputs, and standard normals that a robot takes a slot."""
@@ -143,13 +196,14 @@ class Section(Registry[type[Model]]):
         Raises
         ------
         PluginError
-            If it has no such field, or is no model of this kind.
+            If it has no such field, or is no frozen dataclass, or no model of this kind.
         """
         names = get_args(get_type_hints(cls).get("model"))
-        if len(names) != 1 or not issubclass(cls, self.base):
+        is_frozen = "__dataclass_fields__" in vars(cls) and cls.__dataclass_params__.frozen  # type: ignore[attr-defined]
+        if len(names) != 1 or not issubclass(cls, self.base) or not is_frozen:
             raise PluginError(
-                f"{cls.__qualname__}: a model of {self.key} is a {self.base.__name__} with a field "
-                '`model: Literal["its_name"]`'
+                f"{cls.__qualname__}: a model of {self.key} is a frozen dataclass, a "
+                f'{self.base.__name__}, with a field `model: Literal["its_name"]`'
             )
         self.add(names[0], cls)
         return cls

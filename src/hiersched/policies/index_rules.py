@@ -26,7 +26,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 from pydantic import Field
 
-from hiersched.models.model import STRICT, Setup
+from hiersched.core.parameters import STRICT
+from hiersched.models.model import Setup
 from hiersched.policies.needs import NEEDS, expected_packets, expected_wait_s, need_mbps
 from hiersched.policies.registry import RULES, Rule
 from hiersched.policies.seams import INDEX
@@ -110,8 +111,8 @@ class AverageWords(NamedTuple):
 @INDEX.kernel(AverageWords)
 def index_pf_average(me: AverageWords, constants: Any, state: Any, slot: Any, env: int) -> None:
     """1 / R."""
-    for user in range(state.index.shape[1]):
-        state.index[env, user] = 1.0 / state.average_rate_mbps[env, user]
+    for user in range(state.index_weight.shape[1]):
+        state.index_weight[env, user] = 1.0 / state.average_rate_mbps[env, user]
 
 
 class _Capped(Rule):
@@ -153,10 +154,10 @@ class MaxWeightWords(NamedTuple):
 @INDEX.kernel(MaxWeightWords)
 def index_max_weight(me: MaxWeightWords, constants: Any, state: Any, slot: Any, env: int) -> None:
     """F."""
-    for user in range(state.index.shape[1]):
+    for user in range(state.index_weight.shape[1]):
         packets = expected_packets(constants, state, env, user, me.need)
         state.need_mbps[env, user] = need_mbps(constants, state, env, user, packets)
-        state.index[env, user] = packets
+        state.index_weight[env, user] = packets
 
 
 @RULES.model
@@ -187,12 +188,12 @@ class DelayFirstWords(NamedTuple):
 @INDEX.kernel(DelayFirstWords)
 def index_m_lwdf(me: DelayFirstWords, constants: Any, state: Any, slot: Any, env: int) -> None:
     """-log10(delta) / D W / R."""
-    for user in range(state.index.shape[1]):
+    for user in range(state.index_weight.shape[1]):
         packets = expected_packets(constants, state, env, user, me.need)
         wait_s = expected_wait_s(constants, state, env, user, me.need)
         state.need_mbps[env, user] = need_mbps(constants, state, env, user, packets)
         urgency = -math.log10(constants.late_share[user]) / constants.deadline_s[user] * wait_s
-        state.index[env, user] = urgency / state.average_rate_mbps[env, user]
+        state.index_weight[env, user] = urgency / state.average_rate_mbps[env, user]
 
 
 @RULES.model
@@ -232,12 +233,12 @@ class LogWords(NamedTuple):
 @INDEX.kernel(LogWords)
 def index_log_rule(me: LogWords, constants: Any, state: Any, slot: Any, env: int) -> None:
     """ln(c + a W / D) / R."""
-    for user in range(state.index.shape[1]):
+    for user in range(state.index_weight.shape[1]):
         packets = expected_packets(constants, state, env, user, me.need)
         wait_s = expected_wait_s(constants, state, env, user, me.need)
         state.need_mbps[env, user] = need_mbps(constants, state, env, user, packets)
         urgency = math.log(me.offset + me.gain * wait_s / constants.deadline_s[user])
-        state.index[env, user] = urgency / state.average_rate_mbps[env, user]
+        state.index_weight[env, user] = urgency / state.average_rate_mbps[env, user]
 
 
 @RULES.model
@@ -269,7 +270,7 @@ class ExponentialWords(NamedTuple):
 def index_exp_pf(me: ExponentialWords, constants: Any, state: Any, slot: Any, env: int) -> None:
     """exp((a W - m) / (1 + sqrt m)) / R, or 1 / R."""
     num_urllc = constants.num_urllc
-    index = state.index[env]
+    index = state.index_weight[env]
     mean = 0.0
     for user in range(index.shape[0]):
         packets = expected_packets(constants, state, env, user, me.need)
@@ -316,10 +317,10 @@ class DeadlineWords(NamedTuple):
 @INDEX.kernel(DeadlineWords)
 def index_edf(me: DeadlineWords, constants: Any, state: Any, slot: Any, env: int) -> None:
     """W - D, and the rate that empties the queue."""
-    for user in range(state.index.shape[1]):
+    for user in range(state.index_weight.shape[1]):
         packets = state.backlog_packets[env, user]
         state.need_mbps[env, user] = need_mbps(constants, state, env, user, packets)
-        state.index[env, user] = state.hol_delay_s[env, user] - constants.deadline_s[user]
+        state.index_weight[env, user] = state.hol_delay_s[env, user] - constants.deadline_s[user]
 
 
 CLASSICAL = (

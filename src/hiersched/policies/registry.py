@@ -14,10 +14,11 @@ R = TypeVar("R", bound="Rule")
 
 
 class Rule(Model):
-    """A compiled scheduler: an allocation, and the kernel of its index where it has one.
+    """A compiled scheduler with keys of its own: an allocation, and the kernel of an index.
 
     Its words have a kernel of the seam `policies.seams.INDEX`; with the allocation ``own`` one of
-    `ALLOCATE` instead, and with ``log`` and ``lagrangian`` it needs none.
+    `ALLOCATE` instead, and with ``log`` and ``lagrangian`` it needs none. Its `faults` do not name
+    its place in the scenario.
     """
 
     @property

@@ -12,8 +12,8 @@ INDEX = Seam(
     "index of a rule",
     reads="state.reported_rate_mbps, backlog_packets, hol_delay_s, average_rate_mbps, rate_mbps "
     "(of the last slot), dexterity_index, of world env",
-    writes="state.index[env] (U,): weights of the utilities, or urgencies; state.need_mbps[env] "
-    "(U,) where the rule is capped or goes by urgency",
+    writes="state.index_weight[env] (U,): weights of the utilities, or urgencies; "
+    "state.need_mbps[env] (U,) where the rule is capped or goes by urgency",
 )
 WEIGH = Seam(
     "weights of a policy",

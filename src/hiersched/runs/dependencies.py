@@ -8,9 +8,15 @@ from __future__ import annotations
 
 import hashlib
 import json
+import sys
+from dataclasses import fields
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
+from hiersched.core.registry import ALGORITHMS
+from hiersched.core.seam import outside_files
+from hiersched.models.model import SECTIONS
 from hiersched.runs.fingerprint import code_fingerprint
 from hiersched.runs.variants import (
     SWEPT_KEYS,
@@ -22,6 +28,14 @@ from hiersched.runs.variants import (
     value_text,
 )
 from hiersched.scenario import Scenario, scenario_to_dict
+from hiersched.scenario.plugins import plugin_modules
+from hiersched.scenario.schema import ImportedPolicy, model_at
+
+_SECTIONS = {
+    *SECTIONS,
+    *(field.name for field in fields(Scenario)),
+} - {"name", "plugins", "policies", "learners"}
+"""Keys that hold other keys."""
 
 _LOG_FORM = ("log.compression", "log.chunk_bytes")
 _CONSTRAINT = (
@@ -30,24 +44,27 @@ _CONSTRAINT = (
     "objective.delay_exponent",
     "objective.constraint",
 )
-_ROBOTS = ("robot", "control", "linear_plant")
-_SLOT_LOOP = ("name", "users", "radio", "traffic", *_CONSTRAINT, "schedulers", *_ROBOTS)
+_ROBOTS = ("robot", "control", "plant")
+_SLOT_LOOP = ("name", "plugins", "users", "radio", "traffic", *_CONSTRAINT, "schedulers", *_ROBOTS)
 """Pick what the slot loop reads, whoever decides; `learning.reward_scale` is in its rewards."""
 
 _DESIGN = (
     "control.sampling_s",
     "control.weight",
     "control.max_delay_s",
-    "control.plant",
+    "control.loop",
     "control.operator_share",
     "control.method",
     "control.decay_rate",
     "robot.speed_mps",
     "robot.actuator_lag_s",
-    *(f"linear_plant.{name}" for name in ("A", "A_d", "B", "Q", "R")),
+    "plant.model",
 )
+"""What every design reads; `gains_values` adds the keys of the plant."""
+
 _FORCED_DELAYS = (
     "name",
+    "plugins",
     *_ROBOTS,
     "radio.slot_s",
     "gain_study.seeds",
@@ -97,6 +114,7 @@ KEYS: dict[str, tuple[str, ...]] = {
     ),
     "measure": (
         "name",
+        "plugins",
         "users",
         "radio",
         "traffic",
@@ -135,19 +153,68 @@ KEYS: dict[str, tuple[str, ...]] = {
 
 
 def picked(scenario: Scenario, keys: tuple[str, ...]) -> dict[str, Any]:
-    """Values of dotted keys and sections, flat: ``radio.slot_s`` -> 0.01."""
+    """Values of dotted keys and sections, flat: ``radio.fading.scale`` -> 1.0.
+
+    `plugins` are the hashes of their sources: an edited plug-in is another value.
+    """
     sections = scenario_to_dict(scenario)
     flat: dict[str, Any] = {}
     for key in keys:
-        section, _, name = key.partition(".")
-        values = sections[section]
-        if name:
-            flat[key] = values[name]
-        elif isinstance(values, dict):
-            flat |= {f"{section}.{inner}": value for inner, value in values.items()}
-        else:
-            flat[key] = values
+        value: Any = sections
+        for part in key.split("."):
+            value = value[part]
+        flat |= {"plugins": plugin_hashes(scenario)} if key == "plugins" else _flat(key, value)
     return flat
+
+
+def _flat(key: str, value: Any) -> dict[str, Any]:
+    """Values below a key, those of models in it key by key."""
+    if key not in _SECTIONS:
+        return {key: value}
+    return {
+        dotted: inner
+        for name, part in value.items()
+        for dotted, inner in _flat(f"{key}.{name}", part).items()
+    }
+
+
+def plugin_hashes(scenario: Scenario) -> dict[str, str]:
+    """Return a hash of the sources of every plug-in that a scenario names or takes a model from."""
+    modules = plugin_modules(scenario)
+    found = {name: _sources_sha256(module) for name, module in modules.items()}
+    models = [model_at(scenario, key) for key in SECTIONS]
+    rules = [
+        policy for policy in scenario.policies.values() if not isinstance(policy, ImportedPolicy)
+    ]
+    learners = [ALGORITHMS.loaded(learning.algorithm) for learning in scenario.learned.values()]
+    for kind in (*map(type, models), *map(type, rules), *learners):
+        module = sys.modules.get(getattr(kind, "__module__", ""))
+        if module is not None and module not in modules.values():
+            found |= _outside_hash(module)
+    return found
+
+
+def _outside_hash(module: ModuleType) -> dict[str, str]:
+    """Return the hash of a module that is not ours, by its name: one of an installed package."""
+    if module.__name__.partition(".")[0] == __name__.partition(".")[0]:
+        return {}
+    return {module.__name__: _sources_sha256(module)}
+
+
+def _sources_sha256(module: ModuleType) -> str:
+    """Hash the files of a module and of what it imports, but for installed packages."""
+    digest = hashlib.sha256()
+    for file in sorted({*outside_files(module), str(module.__file__)}):
+        digest.update(hashlib.sha256(Path(file).read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def _design_values(scenario: Scenario, keys: tuple[str, ...]) -> dict[str, Any]:
+    """Pick keys, and what the design of a plant's gains reads of the plant."""
+    own = scenario.plant.design_keys
+    plant = ("plant",) if own is None else tuple(f"plant.{name}" for name in own)
+    values = picked(scenario, (*keys, *plant))
+    return {**values, "plugins": _outside_hash(sys.modules[type(scenario.plant).__module__])}
 
 
 def stage_spec(stage: str, values: dict[str, Any], script: Path) -> str:
@@ -158,7 +225,7 @@ def stage_spec(stage: str, values: dict[str, Any], script: Path) -> str:
 
 def gains_values(scenario: Scenario, design: str) -> dict[str, Any]:
     """Pick what one gain schedule depends on."""
-    return picked(gain_designs(scenario)[design], KEYS["gains"])
+    return _design_values(gain_designs(scenario)[design], KEYS["gains"])
 
 
 def train_values(scenario: Scenario, learner: str) -> dict[str, Any]:
@@ -169,7 +236,7 @@ def train_values(scenario: Scenario, learner: str) -> dict[str, Any]:
 def evaluate_values(scenario: Scenario, group: str) -> dict[str, Any]:
     """Pick what the evaluation of a group of policies depends on, besides its gains and weights."""
     policies = group_policies(scenario, scenario.evaluate.policies, group)
-    return {**picked(scenario, KEYS["evaluate"]), "policies": sorted(policies)}
+    return {**picked(scenario, KEYS["evaluate"]), **_policy_values(scenario, policies)}
 
 
 def sweep_values(scenario: Scenario, axis: str, group: str) -> dict[str, Any]:
@@ -181,13 +248,21 @@ def sweep_values(scenario: Scenario, axis: str, group: str) -> dict[str, Any]:
         del values["traffic.service_coefficient_mbps"]
         values |= picked(scenario, ("sweeps.sampling_s",))
     policies = group_policies(scenario, swept_policies(scenario, axis), group)
-    return {**values, "policies": sorted(policies)}
+    return {**values, **_policy_values(scenario, policies)}
 
 
 def cell_values(scenario: Scenario, group: str) -> dict[str, Any]:
     """Pick what a group of policies in cells of other sizes depends on."""
     policies = group_policies(scenario, scenario.generalise.policies, group)
-    return {**picked(scenario, KEYS["generalise"]), "policies": sorted(policies)}
+    return {**picked(scenario, KEYS["generalise"]), **_policy_values(scenario, policies)}
+
+
+def _policy_values(scenario: Scenario, policies: tuple[str, ...]) -> dict[str, Any]:
+    """Pick the names of policies, and the keys of those among them that the scenario adds."""
+    added = picked(
+        scenario, tuple(f"policies.{name}" for name in policies if name in scenario.policies)
+    )
+    return {**added, "policies": sorted(policies)}
 
 
 def measure_values(scenario: Scenario, group: str) -> dict[str, Any]:
@@ -221,7 +296,7 @@ def gain_sweep_values(scenario: Scenario, axis: str) -> dict[str, Any]:
 
 def stability_values(scenario: Scenario) -> dict[str, Any]:
     """Pick what the stability regions depend on, besides the gains."""
-    return picked(scenario, KEYS["stability"])
+    return _design_values(scenario, KEYS["stability"])
 
 
 def scenario_values(scenario: Scenario, notes: str = "") -> dict[str, Any]:

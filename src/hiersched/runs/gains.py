@@ -58,7 +58,7 @@ def load_gains(path: Path, scenario: Scenario) -> tuple[GainSchedule, LoopGains]
         raise ValueError(
             f"{path}: gains of another design ({schedule.method}, {schedule.kind} plant, sampling "
             f"{schedule.sampling_s:g} s, T_max {schedule.max_delay_steps}) than the scenario's "
-            f"({control.method}, {control.plant} plant, sampling {control.sampling_s:g} s, "
+            f"({control.method}, {scenario.plant_name} plant, sampling {control.sampling_s:g} s, "
             f"T_max {scenario.max_delay_steps})"
         )
     return schedule, loop_gains(schedule, control.gain)

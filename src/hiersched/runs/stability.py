@@ -119,20 +119,19 @@ def write_stability(scenario: Scenario, results: Path) -> Path:
 
 def _weight_rows(scenario: Scenario, results: Path) -> list[dict[str, Any]]:
     rows = []
-    is_linear = scenario.control.plant == "linear"
-    kinds: tuple[Literal["network", "split", "linear"], ...] = ("linear",) if is_linear else PLANTS
+    loops = PLANTS if scenario.plant.chooses_loop else (scenario.control.loop,)
     for weight in scenario.gain_study.weight:
         own = weighted_scenario(scenario, weight)
         cap = own.max_delay_steps
-        for kind in kinds:
-            plant = plant_of(replace(own, control=replace(own.control, plant=kind)))
-            for criterion, longest in certified_delays(plant, cap).items():
-                rows.append(_row("weight", weight, own, kind, criterion, longest))
+        for loop in loops:
+            variant = replace(own, control=replace(own.control, loop=loop))
+            for criterion, longest in certified_delays(plant_of(variant), cap).items():
+                rows.append(_row("weight", weight, variant, criterion, longest))
         schedule, _ = load_gains(results / paths.gain_file(design_of(scenario, own)), own)
         longest_s = max(scenario.gain_study.fixed_delay_s)
         steps = min(delay_steps(longest_s, own.control.sampling_s), cap)
         longest = adjusted_delay(plant_of(own), schedule, steps)
-        rows.append(_row("weight", weight, own, own.control.plant, "adjusted", longest))
+        rows.append(_row("weight", weight, own, "adjusted", longest))
         print(f"stability q = {weight:g}", flush=True)
     return rows
 
@@ -143,18 +142,18 @@ def _sampling_rows(scenario: Scenario) -> list[dict[str, Any]]:
         plant = plant_of(point.scenario)
         loop = plant.closed_loop(plant.nominal_gain)
         longest = last_stable(spectral_radius_by_delay(*loop, point.scenario.max_delay_steps))
-        kind, sampling_s = point.scenario.control.plant, point.scenario.control.sampling_s
-        rows.append(_row("sampling_s", sampling_s, point.scenario, kind, "exact", longest))
+        sampling_s = point.scenario.control.sampling_s
+        rows.append(_row("sampling_s", sampling_s, point.scenario, "exact", longest))
     return rows
 
 
 def _row(
-    axis: str, value: float, scenario: Scenario, plant: str, criterion: str, longest: int | None
+    axis: str, value: float, scenario: Scenario, criterion: str, longest: int | None
 ) -> dict[str, Any]:
     return {
         "axis": axis,
         "value": value,
-        "plant": plant,
+        "plant": scenario.plant_name,
         "sampling_s": scenario.control.sampling_s,
         "criterion": criterion,
         "delay_steps": longest,

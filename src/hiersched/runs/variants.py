@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from hiersched.scenario.consistency import inconsistencies
 from hiersched.scenario.schema import Control, GainMethod, Users, hold_of
 
 SWEPT_KEYS = {
-    "rayleigh_scale": "radio.rayleigh_scale",
+    "rayleigh_scale": "radio.fading.scale",
     "sampling_s": "control.sampling_s",
     "reference": "robot.reference",
     "load": "traffic.load",
@@ -78,6 +78,8 @@ def swept_policies(scenario: Scenario, axis: str) -> tuple[str, ...]:
     optimum runs where a scenario names it and nowhere else: it is slow.
     """
     named: tuple[str, ...] = scenario.sweeps.policies
+    if not swept_values(scenario, axis):
+        return ()
     if axis in ("load_ratio", "service_coefficient_mbps"):
         pair = (scenario.learning.algorithm, "pf")
         return tuple(policy for policy in named if policy in pair)
@@ -105,10 +107,18 @@ def swept_scenario(scenario: Scenario, axis: str, value: float | str) -> Scenari
             control=replace(scenario.control, sampling_s=sampling_s),
         )
     else:
-        section, key = SWEPT_KEYS[axis].split(".")
-        changed = replace(getattr(scenario, section), **{key: value})
-        variant = replace(scenario, **{section: changed})
+        variant = replaced(scenario, SWEPT_KEYS[axis], value)
     return _checked(variant, f"sweeps.{axis} = {value_text(value)}")
+
+
+T = TypeVar("T")
+
+
+def replaced(thing: T, key: str, value: Any) -> T:
+    """Return a scenario, or a part of it, with another value at a dotted key."""
+    name, _, rest = key.partition(".")
+    inner = replaced(getattr(thing, name), rest, value) if rest else value
+    return replace(thing, **{name: inner})  # type: ignore[type-var]  # a dataclass
 
 
 def _with_load_ratio(scenario: Scenario, ratio: float) -> Scenario:
@@ -184,21 +194,22 @@ def study_scenario(scenario: Scenario, method: GainMethod, gain: Gain) -> Scenar
     ScenarioError
         If the method does not fit the rest of the scenario.
     """
-    control = replace(_study_control(scenario.control, method), gain=gain)
+    control = replace(_study_control(scenario, method), gain=gain)
     variant = replace(scenario, control=control)
     return robots_alone(variant, scenario.gain_study.num_robots, f"gain_study with {method}")
 
 
-def _study_control(own: Control, method: GainMethod) -> Control:
-    """Return the section `control` with a method of the gain study and the plant that it is for.
+def _study_control(scenario: Scenario, method: GainMethod) -> Control:
+    """Return the section `control` with a method of the gain study and the loop that it is for.
 
-    A linear plant stays what it is; predictors are not held, and what has replaced a predictor is
-    held as usual.
+    A plant that decides its loop itself stays what it is; predictors are not held, and what has
+    replaced a predictor is held as usual.
     """
-    plant = own.plant if own.plant == "linear" else STUDY_PLANTS[method]
+    own = scenario.control
+    loop = STUDY_PLANTS[method] if scenario.plant.chooses_loop else own.loop
     either = "predictor" in (method, own.method)
     hold_samples = hold_of(method) if either else own.hold_samples
-    return replace(own, method=method, plant=plant, hold_samples=hold_samples)
+    return replace(own, method=method, loop=loop, hold_samples=hold_samples)
 
 
 def robots_alone(scenario: Scenario, num_robots: int, what: str) -> Scenario:
@@ -243,8 +254,8 @@ def gain_designs(scenario: Scenario) -> dict[str, Scenario]:
         if value != own.sampling_s:
             designs[f"schedule_{value_text(value)}"] = swept_scenario(scenario, "sampling_s", value)
     for method in scenario.gain_study.methods:
-        control = _study_control(own, method)
-        if (control.method, control.plant) != (own.method, own.plant):
+        control = _study_control(scenario, method)
+        if (control.method, control.loop) != (own.method, own.loop):
             designs[f"schedule_{method}"] = _checked(
                 replace(scenario, control=control), f"gain_study with {method}"
             )

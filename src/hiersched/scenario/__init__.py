@@ -1,16 +1,16 @@
 """Scenarios: YAML in, frozen dataclasses out."""
 
+import hiersched.models.built_in  # noqa: F401  # registers the models that scenarios name
+from hiersched.scenario.fault_text import ScenarioError
 from hiersched.scenario.load import (
-    ParameterNote,
-    ScenarioError,
     find_scenario,
     load_resolved,
     load_scenario,
-    parameter_notes,
     scenario_sha256,
     scenario_to_dict,
     scenario_to_yaml,
 )
+from hiersched.scenario.notes import ParameterNote, parameter_notes, scenario_notes
 from hiersched.scenario.schema import Scenario, delay_steps
 
 __all__ = [
@@ -22,6 +22,7 @@ __all__ = [
     "load_resolved",
     "load_scenario",
     "parameter_notes",
+    "scenario_notes",
     "scenario_sha256",
     "scenario_to_dict",
     "scenario_to_yaml",

@@ -3,21 +3,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import get_args
+from collections.abc import Callable, Mapping, Sequence
+from importlib import import_module
+from typing import Any, get_args
 
-import numpy as np
+from pydantic import ValidationError
 
-from hiersched.scenario.linear import linear_faults
+from hiersched.core.parameters import read_strictly
+from hiersched.core.registry import ALGORITHMS, BUILT_IN_ALGORITHMS
+from hiersched.models.model import SECTIONS
+from hiersched.scenario.fault_text import own_faults
 from hiersched.scenario.reference_file import reference_faults
-from hiersched.scenario.schema import Learning, Scenario, SchedulerName, delay_steps
+from hiersched.scenario.schema import (
+    ImportedPolicy,
+    Learning,
+    Scenario,
+    SchedulerName,
+    delay_steps,
+    model_at,
+)
 
 LEAST_SNR_DB = -80.0
 """Below it, a PRB in a deep fade could carry exactly 0 bit/s, and no logarithm of a rate exists."""
 GREATEST_SNR_DB = 300.0
-MAX_MEAN_BATCHES = 600.0
-"""Limit of the Poisson quantile (`models.traffic.poisson.MAX_MEAN`; a test holds them equal), here
-without the half second that importing the kernels takes."""
 MAX_DELAY_STEPS = 200
 NETWORK_METHODS = ("predictor", "latency_compensated", "h2")
 """Gain methods for plants whose whole feedback crosses the network."""
@@ -31,8 +39,8 @@ def inconsistencies(scenario: Scenario) -> list[str]:
         *_times(scenario),
         *_control(scenario),
         *reference_faults(scenario),
-        *linear_faults(scenario),
-        *_arrivals(scenario),
+        *_models(scenario),
+        *_own_policies(scenario),
         *_learners(scenario),
         *_studies(scenario),
         *_cells(scenario),
@@ -55,23 +63,17 @@ def _users(scenario: Scenario) -> list[str]:
             faults.append(
                 f"{key} = {list(value)}: {len(value)} numbers, must be one number or {count}"
             )
-    if radio.min_distance_m >= radio.cell_radius_m:
-        faults.append(
-            f"radio.min_distance_m = {radio.min_distance_m}: must be below radio.cell_radius_m = "
-            f"{radio.cell_radius_m}"
-        )
     return faults
 
 
 def _link_budget(scenario: Scenario) -> list[str]:
     radio = scenario.radio
-    scales = (radio.rayleigh_scale, *scenario.sweeps.rayleigh_scale)
+    own = getattr(radio.fading, "scale", None)
+    # A fading without a scale is taken to have the mean power 1.
+    scales = (1.0,) if own is None else (own, *scenario.sweeps.rayleigh_scale)
     best_db = radio.tx_power_dbm - radio.noise_dbm + 20.0 * math.log10(max(scales))
     least_db = radio.tx_power_dbm - radio.noise_dbm + 20.0 * math.log10(min(scales))
-    if radio.path_loss == "macro":
-        # A normal shadowing draw from a double stays within nine standard deviations.
-        edge_loss_db = 128.1 + 37.6 * math.log10(radio.cell_radius_m / 1000.0)
-        least_db -= edge_loss_db + 9.0 * radio.shadowing_db
+    least_db += radio.path_loss.least_gain_db()
     if least_db >= LEAST_SNR_DB and best_db <= GREATEST_SNR_DB:
         return []
     return [
@@ -130,44 +132,75 @@ def _control(scenario: Scenario) -> list[str]:
     kind = scenario.loop_kind
     if control.method == "razumikhin" and kind == "network":
         return [
-            "control.method = 'razumikhin': needs control.plant = 'split' (a plant with an "
+            "control.method = 'razumikhin': needs control.loop = 'split' (a plant with an "
             "eigenvalue on the unit circle whose whole feedback is delayed has no such "
-            "certificate), or linear_plant.A_d"
+            "certificate), or plant.A_d"
         ]
     if control.method in NETWORK_METHODS and kind != "network":
         return [
-            f"control.method = {control.method!r}: needs control.plant = 'network' (it replaces "
+            f"control.method = {control.method!r}: needs control.loop = 'network' (it replaces "
             "the whole feedback by one made for the delay), or a linear plant without A_d"
         ]
     return []
 
 
-def _arrivals(scenario: Scenario) -> list[str]:
-    """Mean batches a slot must stay within what the Poisson quantile can sum."""
-    traffic, slot_s = scenario.traffic, scenario.radio.slot_s
-    delay_s = traffic.application_delay_s
-    interval_s = slot_s + (traffic.deadline_s if delay_s is None else delay_s)
-    per_mbps = 1e6 / (traffic.packet_bits * traffic.batch_packets)
-    loads = {"traffic.load": (traffic.load,), "sweeps.load": scenario.sweeps.load}
+def _models(scenario: Scenario) -> list[str]:
+    """List what the models themselves find."""
     faults = []
-    for key, values in loads.items():
-        for load in values:
-            urllc = load * np.max(traffic.urllc_offered_mbps) * slot_s
-            urllc += traffic.rate_sensitivity * traffic.reference_rate_mbps * interval_s
-            batches = max(urllc, load * np.max(traffic.embb_offered_mbps) * slot_s) * per_mbps
-            if batches > MAX_MEAN_BATCHES:
-                faults.append(
-                    f"{key} = {load}: up to {batches:.6g} batches a slot and user on average, must "
-                    f"stay within {MAX_MEAN_BATCHES:g} (lower the load or the offered rates, or "
-                    "raise traffic.packet_bits or traffic.batch_packets)"
-                )
+    for key in SECTIONS:
+        faults += _asked(key, model_at(scenario, key).faults, scenario)
+    swept = scenario.sweeps.rayleigh_scale
+    if swept and not hasattr(scenario.radio.fading, "scale"):
+        faults.append(
+            f"sweeps.rayleigh_scale = {list(swept)}: must be [] with radio.fading.model = "
+            f"{scenario.radio.fading.model!r}, which has no key scale"
+        )
     return faults
+
+
+def _asked(key: str, ask: Callable[[Scenario], list[str]], scenario: Scenario) -> list[str]:
+    """Faults that a model names; one of a plug-in may be at fault itself."""
+    try:
+        return ask(scenario)
+    except Exception as error:
+        return [f"{key}: its check of the scenario fails: {type(error).__name__}: {error}"]
+
+
+def _own_policies(scenario: Scenario) -> list[str]:
+    faults = []
+    taken = dict.fromkeys(get_args(SchedulerName), "a scheduler")
+    taken |= dict.fromkeys(scenario.learned, "a learner")
+    for name, policy in scenario.policies.items():
+        if name in taken:
+            faults.append(f"policies.{name}: the name of {taken[name]}: must be another one")
+        if isinstance(policy, ImportedPolicy):
+            faults += _import_faults(f"policies.{name}.import", policy.source)
+        else:
+            asked = _asked(f"policies.{name}", policy.faults, scenario)
+            faults += [f"policies.{name}: {fault}" for fault in asked]
+    return faults
+
+
+def _import_faults(key: str, source: str) -> list[str]:
+    module, _, name = source.partition(":")
+    try:
+        found = getattr(import_module(module), name)
+    except Exception as error:
+        return [
+            f"{key} = {source!r}: cannot be imported: {type(error).__name__}: {error} (name its "
+            "file under `plugins`)"
+        ]
+    return [] if callable(found) else [f"{key} = {source!r}: must be a function"]
 
 
 def _learners(scenario: Scenario) -> list[str]:
     faults = _learning(scenario, "learning", scenario.learning)
     taken = {scenario.learning.algorithm: "learning.algorithm"}
     taken |= dict.fromkeys(get_args(SchedulerName), "a scheduler")
+    if taken[scenario.learning.algorithm] == "a scheduler":
+        faults.append(
+            f"learning.algorithm = {scenario.learning.algorithm}: the name of a scheduler"
+        )
     for name, learner in scenario.learners.items():
         if name in taken:
             faults.append(f"learners.{name}: the name of {taken[name]}: must be another one")
@@ -181,7 +214,7 @@ def _learners(scenario: Scenario) -> list[str]:
 
 
 def _learning(scenario: Scenario, section: str, learning: Learning) -> list[str]:
-    faults = []
+    faults = _algorithm(section, learning)
     if len(set(learning.seeds)) != len(learning.seeds):
         faults.append(f"{section}.seeds = {list(learning.seeds)}: every seed once")
     if learning.episodes % learning.num_envs:
@@ -195,10 +228,10 @@ def _learning(scenario: Scenario, section: str, learning: Learning) -> list[str]
             f"{section}.replay_capacity = {learning.replay_capacity}: at least "
             f"{section}.num_envs * {section}.slots_per_episode = {round_slots}"
         )
-    if learning.observe_robots and scenario.control.plant == "linear":
+    if learning.observe_robots and not scenario.plant.has_pose:
         faults.append(
-            f"{section}.observe_robots = true: must be false where control.plant = linear, whose "
-            "robots have no position"
+            f"{section}.observe_robots = true: must be false where plant.model = "
+            f"{scenario.plant.model}, whose robots have no position"
         )
     if learning.start == "drift_plus_penalty" and learning.algorithm == "ddpg":
         faults.append(
@@ -211,6 +244,30 @@ def _learning(scenario: Scenario, section: str, learning: Learning) -> list[str]
             f"{learning.replay_capacity}"
         )
     return faults
+
+
+def _algorithm(section: str, learning: Learning) -> list[str]:
+    """List an algorithm that nobody has registered, or keys that are not its own."""
+    name, parameters = learning.algorithm, learning.parameters
+    if name not in ALGORITHMS:
+        return [f"{section}.algorithm = {name!r}: {ALGORITHMS.allowed()}"]
+    found = None if name in BUILT_IN_ALGORITHMS else ALGORITHMS.loaded(name)
+    if found is None and name not in BUILT_IN_ALGORITHMS:
+        return []  # an installed one that is imported when it trains
+    kind = getattr(found, "Parameters", None)
+    if kind is not None:
+        return _parameter_faults(kind, f"{section}.parameters", parameters)
+    if parameters:
+        return [f"{section}.parameters = {dict(parameters)}: must be {{}}: {name} has no own keys"]
+    return []
+
+
+def _parameter_faults(kind: type, place: str, values: Mapping[str, Any]) -> list[str]:
+    try:
+        read_strictly(kind, values)
+    except ValidationError as error:
+        return own_faults(error, place, values)
+    return []
 
 
 def _studies(scenario: Scenario) -> list[str]:
@@ -292,11 +349,11 @@ def _full_logs(scenario: Scenario) -> list[str]:
 
 
 def _policies(scenario: Scenario, key: str, policies: tuple[str, ...]) -> list[str]:
-    """Policies that nobody is: neither a scheduler nor a learner of the scenario."""
-    known = [*scenario.learned, *get_args(SchedulerName)]
+    """Policies that nobody is: no learner, no scheduler, none of `policies`."""
+    known = [*scenario.learned, *get_args(SchedulerName), *scenario.policies]
     faults = []
     for policy in policies:
-        if policy in ("ddpg", "a2c") and policy not in known:
+        if policy in ALGORITHMS and policy not in known:
             faults.append(
                 f"{key} = {list(policies)}: {policy} is not trained where learning.algorithm = "
                 f"{scenario.learning.algorithm} (and learners has none of this name)"

@@ -4,28 +4,21 @@ from __future__ import annotations
 
 import hashlib
 import json
-import re
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
 import yaml
 from pydantic import TypeAdapter, ValidationError
 
+from hiersched.models.model import SECTIONS
 from hiersched.scenario.consistency import inconsistencies
+from hiersched.scenario.fault_text import ScenarioError, allowed_keys, describe, section_keys
+from hiersched.scenario.old_keys import converted
+from hiersched.scenario.plugins import CONFIG, load_plugins
 from hiersched.scenario.reference_file import ReferenceFileError, read_reference
 from hiersched.scenario.schema import Scenario, hold_of
-
-CONFIG = Path("config")
-_KEY_LINE = re.compile(
-    r"^(\s*)([A-Za-z_0-9]+):\s*([^#]*?)\s*"
-    r"(?:#\s*\[([^\]]+)\]\s*(paper|assumed)(?::\s*(.*))?|#.*)?$"
-)
-
-
-class ScenarioError(ValueError):
-    """A scenario that cannot be run: the message names file, key, value and what is allowed."""
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):
@@ -70,6 +63,9 @@ def _parse_yaml(text: str, path: Path) -> dict[str, Any]:
 
 
 def _merge(base: Mapping[str, Any], overlay: Mapping[str, Any]) -> dict[str, Any]:
+    """Put what an overlay names over a mapping; where it names another `model`, nothing stays."""
+    if "model" in base and overlay.get("model", base["model"]) != base["model"]:
+        return dict(overlay)
     merged = dict(base)
     for key, value in overlay.items():
         old = merged.get(key)
@@ -77,73 +73,6 @@ def _merge(base: Mapping[str, Any], overlay: Mapping[str, Any]) -> dict[str, Any
             _merge(old, value) if isinstance(old, dict) and isinstance(value, dict) else value
         )
     return merged
-
-
-def _holds(data: Any, location: tuple[str | int, ...]) -> bool:
-    for part in location:
-        if isinstance(data, Mapping) and part in data:
-            data = data[part]
-        elif isinstance(data, list) and isinstance(part, int) and part < len(data):
-            data = data[part]
-        else:
-            return False
-    return True
-
-
-def _value_at(data: Any, location: tuple[str | int, ...]) -> Any:
-    for part in location:
-        data = data[part]
-    return data
-
-
-def _describe(
-    error: ValidationError,
-    merged: Mapping[str, Any],
-    overlay: Mapping[str, Any],
-    names: tuple[Path, Path],
-) -> str:
-    lines = []
-    for item in error.errors():
-        # Branches of a union append their own name to the location: cut back to what stands in the
-        # file.
-        location = item["loc"]
-        while location and not _holds(merged, location) and item["type"] != "missing":
-            location = location[:-1]
-        path, defaults = names
-        source = path if _holds(overlay, location) or item["type"] == "missing" else defaults
-        key = ".".join(str(part) for part in location)
-        if item["type"] == "missing":
-            lines.append(f"{source}: {key}: missing")
-            continue
-        value = _value_at(merged, location)
-        message = item["msg"].replace("Input should be", "must be")
-        if item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-            section = location[0] if len(location) > 1 else None
-            message = f"unknown key; allowed: {', '.join(_allowed_keys(section))}"
-        elif isinstance(value, str) and re.fullmatch(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+", value):
-            message += " (YAML takes 1e-3 and 1.0e6 for text: write 1.0e-3, 1.0e+6)"
-        lines.append(f"{source}: {key} = {value!r}: {message}")
-    return "\n".join(dict.fromkeys(lines))
-
-
-def _allowed_keys(section: str | int | None) -> list[str]:
-    if section is None:
-        return [field.name for field in fields(Scenario)]
-    return list(_KEYS_OF_SECTION.get("learning" if section == "learners" else str(section), ()))
-
-
-def _keys_of_sections() -> dict[str, tuple[str, ...]]:
-    from typing import get_type_hints
-
-    hints = get_type_hints(Scenario)
-    return {
-        name: tuple(field.name for field in fields(hint))
-        for name, hint in hints.items()
-        if hasattr(hint, "__dataclass_fields__")
-    }
-
-
-_KEYS_OF_SECTION = _keys_of_sections()
 
 
 def find_scenario(name_or_path: str | Path) -> Path:
@@ -261,14 +190,24 @@ def _validate(
         raise ScenarioError(
             f"{path}: a value is neither number, text, list nor mapping: {error}"
         ) from error
+    _load_plugins(merged.get("plugins"), path)
     try:
         scenario = TypeAdapter(Scenario).validate_json(text, strict=True)
     except ValidationError as error:
-        raise ScenarioError(_describe(error, merged, overlay, (path, defaults))) from error
+        raise ScenarioError(describe(error, merged, overlay, (path, defaults))) from error
     faults = inconsistencies(scenario)
     if faults:
         raise ScenarioError("\n".join(f"{path}: {fault}" for fault in faults))
     return scenario
+
+
+def _load_plugins(names: Any, path: Path) -> None:
+    """Import plug-ins, before validation asks what there is."""
+    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+        names = []  # validation says what is wrong
+    faults = load_plugins(names, path)
+    if faults:
+        raise ScenarioError("\n".join(f"{path}: {fault}" for fault in faults))
 
 
 def load_resolved(text: str, origin: Path) -> tuple[Scenario, tuple[str, ...], str]:
@@ -284,8 +223,8 @@ def load_resolved(text: str, origin: Path) -> tuple[Scenario, tuple[str, ...], s
     Returns
     -------
     scenario, added, sha256
-        The scenario; the keys that it lacks, whose values are today's defaults; and the hash of
-        what is written, as `scenario_sha256` had it then.
+        The scenario, its old keys in their new places; the keys that it lacks, whose values are
+        today's defaults; and the hash of what is written, as `scenario_sha256` had it then.
 
     Raises
     ------
@@ -294,24 +233,41 @@ def load_resolved(text: str, origin: Path) -> tuple[Scenario, tuple[str, ...], s
     """
     written = _parse_yaml(text, origin)
     sha256 = _sha256(written)
-    known: dict[str, tuple[str, ...]] = {str(key): () for key in _allowed_keys(None)}
-    known.update(_KEYS_OF_SECTION)
-    missing = [
-        f"{section}.{key}" if key else section
-        for section, keys in known.items()
-        for key in (keys or ("",))
-        if (key not in written.get(section, {}) if key else section not in written)
-    ]
+    data = converted(written)
+    missing = _missing_keys(data)
     if not missing:
-        return _validate(written, written, origin, origin), (), sha256
+        return _validate(data, data, origin, origin), (), sha256
     defaults = _find_defaults(origin)
-    merged = _with_hold(_with_learners(_merge(_read_yaml(defaults), written)))
-    return _validate(merged, written, origin, defaults), tuple(missing), sha256
+    merged = _with_hold(_with_learners(_merge(_read_yaml(defaults), data)))
+    return _validate(merged, data, origin, defaults), tuple(missing), sha256
+
+
+def _missing_keys(data: Mapping[str, Any]) -> list[str]:
+    """Dotted keys that a scenario lacks; of a model, those that it has no default for as well."""
+    missing = []
+    known = section_keys()
+    for field in fields(Scenario):
+        section, keys = field.name, known.get(field.name, ())
+        if section not in data or not isinstance(data[section], Mapping):
+            missing += [f"{section}.{key}" for key in keys] or ([section] * (section not in data))
+        else:
+            missing += [f"{section}.{key}" for key in keys if key not in data[section]]
+    for place in SECTIONS:
+        values: Any = data
+        for part in place.split("."):
+            values = values.get(part) if isinstance(values, Mapping) else None
+        if isinstance(values, Mapping):
+            keys = tuple(allowed_keys(tuple(place.split(".")), data))
+            missing += [f"{place}.{key}" for key in keys if key not in values]
+    return missing
 
 
 def scenario_to_dict(scenario: Scenario) -> dict[str, Any]:
     """Plain mapping of a scenario: numbers, text, lists and mappings only."""
     result: dict[str, Any] = json.loads(json.dumps(asdict(scenario)))
+    for entry in result["policies"].values():
+        if "model" not in entry:
+            entry["import"] = entry.pop("source")
     return result
 
 
@@ -328,41 +284,3 @@ def scenario_sha256(scenario: Scenario) -> str:
 def _sha256(data: Mapping[str, Any]) -> str:
     text = json.dumps(data, sort_keys=True, separators=(",", ":"))
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-@dataclass(frozen=True, kw_only=True)
-class ParameterNote:
-    """What `config/defaults.yaml` says of one key: dotted key, unit, paper or assumed, meaning."""
-
-    key: str
-    unit: str
-    origin: str
-    meaning: str
-
-
-def parameter_notes(defaults: Path | None = None) -> list[ParameterNote]:
-    """Read unit, origin and meaning of every key, from the comments of the defaults file.
-
-    Raises
-    ------
-    ScenarioError
-        If a key has no comment of the form ``# [unit] paper|assumed: meaning``.
-    """
-    path = defaults if defaults is not None else CONFIG / "defaults.yaml"
-    notes: list[ParameterNote] = []
-    section = ""
-    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
-        match = _KEY_LINE.match(line)
-        if match is None:
-            continue
-        indent, key, value, unit, origin, meaning = match.groups()
-        if not indent and not value:
-            section = key
-            continue
-        if unit is None:
-            raise ScenarioError(
-                f"{path}: line {number}: {key} lacks its comment '# [unit] paper|assumed: …'"
-            )
-        dotted = f"{section}.{key}" if indent else key
-        notes.append(ParameterNote(key=dotted, unit=unit, origin=origin, meaning=meaning or ""))
-    return notes

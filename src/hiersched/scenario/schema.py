@@ -4,17 +4,37 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from operator import attrgetter
 from typing import Annotated, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 
-_STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+from hiersched.core.parameters import (
+    STRICT,
+    Count,
+    NonEmpty,
+    NonNegative,
+    OwnKeys,
+    Positive,
+    Seed,
+    Share,
+)
+from hiersched.models.model import (
+    ARRIVALS,
+    FADING,
+    LINK,
+    PATH_LOSS,
+    PLANT,
+    QUEUE,
+    REPORT,
+    Arrivals,
+    Model,
+    PathLoss,
+    Plant,
+)
+from hiersched.policies.registry import Rule
+from hiersched.scenario.choice import chosen_from, policy_entry
 
-Positive = Annotated[float, Field(gt=0)]
-NonNegative = Annotated[float, Field(ge=0)]
-Share = Annotated[float, Field(gt=0, lt=1)]
-Count = Annotated[int, Field(ge=1)]
-Seed = Annotated[int, Field(ge=0, lt=2**31)]
 GainMethod = Literal["krasovskii", "razumikhin", "predictor", "latency_compensated", "h2"]
 Reference = Literal["straight", "arc", "figure_eight", "zigzag", "file"]
 SchedulerName = Literal[
@@ -33,63 +53,58 @@ SchedulerName = Literal[
 Need = Literal["none", "backlog", "backlog_and_arrivals"]
 LearnerName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
 PolicyName = LearnerName
-"""A scheduler or a learner; `consistency` knows which there are."""
-NonEmpty = Field(min_length=1)
-Matrix = Annotated[tuple[Annotated[tuple[float, ...], NonEmpty], ...], NonEmpty]
+"""A scheduler, a learner or one of `policies`; `consistency` knows which there are."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Users:
     """How many users each slice has."""
 
-    __pydantic_config__ = _STRICT
+    __pydantic_config__ = STRICT
     num_urllc: Count
     num_embb: Count
 
 
 @dataclass(frozen=True, kw_only=True)
 class Radio:
-    """The cell's resource blocks, link budget and fading."""
+    """The cell's resource blocks and link budget; models of channel, report and link."""
 
-    __pydantic_config__ = _STRICT
+    __pydantic_config__ = STRICT
     slot_s: Positive
     bandwidth_hz: Positive
     num_prb: Annotated[int, Field(ge=1, le=512)]
     tx_power_dbm: float
     noise_dbm: float
-    rayleigh_scale: Positive
-    path_loss: Literal["none", "macro"]
-    cell_radius_m: Positive
-    min_distance_m: Positive
-    shadowing_db: NonNegative
+    path_loss: Annotated[PathLoss, chosen_from(PATH_LOSS)]
+    fading: Annotated[Model, chosen_from(FADING)]
+    report: Annotated[Model, chosen_from(REPORT)]
+    link: Annotated[Model, chosen_from(LINK)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Traffic:
     """Arrivals, service, deadlines."""
 
-    __pydantic_config__ = _STRICT
+    __pydantic_config__ = STRICT
     packet_bits: Positive
-    batch_packets: Count
     load: Positive
     urllc_offered_mbps: Positive | Annotated[tuple[Positive, ...], NonEmpty]
     embb_offered_mbps: Positive | Annotated[tuple[Positive, ...], NonEmpty]
-    reference_rate_mbps: NonNegative
-    rate_sensitivity: Annotated[float, Field(ge=0, lt=1)]
     service_coefficient_mbps: NonNegative
     deadline_s: Positive
-    application_delay_s: NonNegative | None
     embb_deadline_s: Positive
     reliability: Share
     embb_reliability: Share
     reliability_levels: Annotated[tuple[Share, ...], NonEmpty]
+    arrivals: Annotated[Arrivals, chosen_from(ARRIVALS)]
+    queue: Annotated[Model, chosen_from(QUEUE)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Objective:
     """Drift-plus-penalty objective, delay constraint and its multiplier."""
 
-    __pydantic_config__ = _STRICT
+    __pydantic_config__ = STRICT
     penalty_weight: NonNegative
     epsilon: Positive
     delay_exponent: Positive
@@ -103,7 +118,7 @@ class Objective:
 class Schedulers:
     """Constants of the classical schedulers."""
 
-    __pydantic_config__ = _STRICT
+    __pydantic_config__ = STRICT
     average_window_slots: Annotated[float, Field(ge=1)]
     log_rule_offset: Annotated[float, Field(ge=1)]
     log_rule_gain: Positive
@@ -117,7 +132,7 @@ class Schedulers:
 class Robot:
     """The teleoperated robots and their world."""
 
-    __pydantic_config__ = _STRICT
+    __pydantic_config__ = STRICT
     reference: Reference
     reference_file: str | None
     reference_points: tuple[tuple[float, float, float, float], ...] | None
@@ -145,11 +160,11 @@ class Robot:
 class Control:
     """The lower level: sampling, weights and how gains are adjusted to the delay."""
 
-    __pydantic_config__ = _STRICT
+    __pydantic_config__ = STRICT
     sampling_s: Positive
     weight: Positive
     max_delay_s: Positive
-    plant: Literal["network", "split", "linear"]
+    loop: Literal["network", "split"]
     operator_share: Annotated[float, Field(gt=0, le=1)]
     method: GainMethod
     decay_rate: Annotated[float, Field(ge=0, lt=1)]
@@ -158,27 +173,37 @@ class Control:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LinearPlant:
-    """Robots that are a discrete linear plant: n states, m inputs, matrices row by row."""
+class ImportedPolicy:
+    """A policy from a function: ``import: "module:function"``, and what it is given.
 
-    __pydantic_config__ = _STRICT
-    A: Matrix | None
-    A_d: Matrix | None
-    B: Matrix | None
-    Q: Matrix | None
-    R: Matrix | None
-    process_noise: tuple[NonNegative, ...] | None
-    measurement_noise: tuple[NonNegative, ...] | None
-    input_limits: tuple[Positive, ...] | None
-    error_states: Annotated[tuple[Annotated[int, Field(ge=0)], ...], NonEmpty] | None
+    Attributes
+    ----------
+    source
+        Key `import`: where the function is.
+    rule
+        The scheduler whose utility its weights multiply.
+    parameters
+        Keyword arguments.
+    """
+
+    __pydantic_config__ = STRICT
+    source: Annotated[
+        str,
+        Field(
+            alias="import",
+            pattern=r"^[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*:[A-Za-z_][A-Za-z0-9_]*$",
+        ),
+    ]
+    rule: SchedulerName = "pf"
+    parameters: OwnKeys = field(default_factory=dict, hash=False)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Learning:
     """The two agents and how they are trained."""
 
-    __pydantic_config__ = _STRICT
-    algorithm: Literal["ddpg", "a2c"]
+    __pydantic_config__ = STRICT
+    algorithm: LearnerName
     network: Literal["shared", "mlp"]
     start: Literal["pf", "max_weight", "drift_plus_penalty"]
     reward: Literal["cooperative", "independent"]
@@ -209,13 +234,14 @@ class Learning:
     gradient_clip: Positive
     floor_slope: Annotated[float, Field(ge=0, le=1)]
     action_penalty: NonNegative
+    parameters: OwnKeys = field(hash=False)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Worlds:
     """Held-out worlds in which policies run: a warm-up, then what is measured."""
 
-    __pydantic_config__ = _STRICT
+    __pydantic_config__ = STRICT
     seeds: Annotated[tuple[Seed, ...], NonEmpty]
     warmup_s: NonNegative
     duration_s: Positive
@@ -226,7 +252,7 @@ class Worlds:
 class Evaluation(Worlds):
     """Held-out worlds in which every policy is run."""
 
-    __pydantic_config__ = _STRICT
+    __pydantic_config__ = STRICT
     full_logs: Annotated[int, Field(ge=0)]
     full_log_s: Positive
 
@@ -235,8 +261,8 @@ class Evaluation(Worlds):
 class Sweeps(Worlds):
     """One axis varied at a time."""
 
-    __pydantic_config__ = _STRICT
-    rayleigh_scale: Annotated[tuple[Positive, ...], NonEmpty]
+    __pydantic_config__ = STRICT
+    rayleigh_scale: tuple[Positive, ...]
     sampling_s: Annotated[tuple[Positive, ...], NonEmpty]
     reference: Annotated[tuple[Reference, ...], NonEmpty]
     load: Annotated[tuple[Positive, ...], NonEmpty]
@@ -248,7 +274,7 @@ class Sweeps(Worlds):
 class Bound:
     """Slots of the evaluation whose exact optimum is computed."""
 
-    __pydantic_config__ = _STRICT
+    __pydantic_config__ = STRICT
     slots_per_log: Count
 
 
@@ -256,7 +282,7 @@ class Bound:
 class Generalise(Worlds):
     """Cells of other sizes, in which trained policies run as they are."""
 
-    __pydantic_config__ = _STRICT
+    __pydantic_config__ = STRICT
     cells: Annotated[tuple[tuple[Count, Count, Count], ...], NonEmpty]
 
 
@@ -264,7 +290,7 @@ class Generalise(Worlds):
 class GainStudy:
     """Forced delays, nominal against adjusted gain: Table II and the sweeps around it."""
 
-    __pydantic_config__ = _STRICT
+    __pydantic_config__ = STRICT
     seeds: Annotated[tuple[Seed, ...], NonEmpty]
     num_robots: Count
     num_windows: Count
@@ -284,7 +310,7 @@ class GainStudy:
 class Log:
     """What the MCAP files carry and how they are packed."""
 
-    __pydantic_config__ = _STRICT
+    __pydantic_config__ = STRICT
     compression: Literal["zstd", "none"]
     chunk_bytes: Annotated[int, Field(ge=4096)]
     train_profile: Literal["full", "compact", "decisions"]
@@ -297,16 +323,20 @@ class Log:
 class Scenario:
     """Everything that a run depends on; nothing is read from YAML later."""
 
-    __pydantic_config__ = _STRICT
+    __pydantic_config__ = STRICT
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")]
+    plugins: tuple[str, ...]
     users: Users
     radio: Radio
     traffic: Traffic
     objective: Objective
     schedulers: Schedulers
     robot: Robot
+    plant: Annotated[Plant, chosen_from(PLANT)]
     control: Control
-    linear_plant: LinearPlant
+    policies: Mapping[PolicyName, Annotated[Rule | ImportedPolicy, policy_entry()]] = field(
+        hash=False
+    )
     learning: Learning
     learners: Mapping[LearnerName, Learning] = field(hash=False)
     evaluate: Evaluation
@@ -329,22 +359,28 @@ class Scenario:
     @property
     def robot_sizes(self) -> tuple[int, int, int]:
         """States and inputs of a robot, and the standard normals that it takes a slot."""
-        A, B = self.linear_plant.A, self.linear_plant.B
-        if self.control.plant != "linear" or A is None or B is None:
-            return 5, 2, 5
-        return len(A), len(B[0]), 2 * len(A)
+        return self.plant.sizes(self)
 
     @property
     def loop_kind(self) -> Literal["network", "split"]:
-        """Whether all feedback crosses the network; a linear plant with A_d is ``split``."""
-        if self.control.plant == "linear":
-            return "network" if self.linear_plant.A_d is None else "split"
-        return self.control.plant
+        """Whether all feedback crosses the network, or a part of it."""
+        return self.plant.loop(self)
+
+    @property
+    def plant_name(self) -> str:
+        """Name of the plant in tables: where `control.loop` decides, what crosses the network."""
+        return self.loop_kind if self.plant.chooses_loop else self.plant.model
 
     @property
     def max_delay_steps(self) -> int:
         """T_max, the largest delay that a gain is designed for, in control samples."""
         return delay_steps(self.control.max_delay_s, self.control.sampling_s)
+
+
+def model_at(scenario: Scenario, key: str) -> Model:
+    """Return the model at a dotted key of `models.model.SECTIONS`."""
+    found: Model = attrgetter(key)(scenario)
+    return found
 
 
 def hold_of(method: str) -> int:

@@ -44,7 +44,7 @@ class Plugs(NamedTuple):
     how: int = GIVEN
     allocation: Plug = UNUSED
     code: int = 0
-    index: Plug = UNUSED
+    rule: Plug = UNUSED
     weigh: Plug = UNUSED
     allocate: Plug = UNUSED
 
@@ -226,19 +226,19 @@ def _decide(plugs: Any, constants: Any, state: Any, scratch: Any, slot: Any, env
         call_plug(plugs.allocate, constants, state, slot, env)
         _check_owners(slot.prb_owner, slot.num_prb)
         return
-    if plugs.index.kernel == 0:
-        _copy(state.weight[env], state.index[env])
+    if plugs.rule.kernel == 0:
+        _copy(state.weight[env], state.index_weight[env])
     else:
-        call_plug(plugs.index, constants, state, slot, env)
+        call_plug(plugs.rule, constants, state, slot, env)
         if plugs.how == BY_UTILITY:  # an urgency is no utility: weights leave it alone
             for user in range(slot.rate_mbps.shape[0]):
-                state.index[env, user] *= state.weight[env, user]
+                state.index_weight[env, user] *= state.weight[env, user]
     call_at(
         plugs.allocation.kernel,
         plugs.code,
         state.slot[env],
         state.reported_rate_mbps[env],
-        state.index[env],
+        state.index_weight[env],
         state.need_mbps[env],
         scratch.terms,
         plugs.allocation.words,

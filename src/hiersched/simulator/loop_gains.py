@@ -8,19 +8,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.control import (
-    DelayedPlant,
-    GainSchedule,
-    network_plant,
-    split_plant,
-    tracking_weights,
-)
-from hiersched.models.plant.error_model import discretise, unicycle_error_model
-from hiersched.scenario.linear import linear_plant
+from hiersched.control import DelayedPlant, GainSchedule
 from hiersched.scenario.schema import Scenario
-
-POSE_STATES = (0, 1, 2)
-"""What the operator of a split plant feeds back: the pose that the video shows."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,24 +49,7 @@ class LoopGains:
 
 def plant_of(scenario: Scenario) -> DelayedPlant:
     """Plant for which the gains are designed: that of the scenario, or a unicycle on a line."""
-    robot, control = scenario.robot, scenario.control
-    if control.plant == "linear":
-        return linear_plant(scenario)
-    A, B = discretise(
-        *unicycle_error_model(robot.speed_mps, 0.0, robot.actuator_lag_s), control.sampling_s
-    )
-    Q, R = tracking_weights(control.weight, control.sampling_s)
-    if control.plant == "network":
-        return network_plant(A, B, Q, R, sampling_s=control.sampling_s)
-    return split_plant(
-        A,
-        B,
-        Q,
-        R,
-        operator_share=control.operator_share,
-        operator_states=POSE_STATES,
-        sampling_s=control.sampling_s,
-    )
+    return scenario.plant.design(scenario)
 
 
 def loop_gains(schedule: GainSchedule, gain: Literal["adjusted", "nominal"]) -> LoopGains:
@@ -92,3 +64,17 @@ def loop_gains(schedule: GainSchedule, gain: Literal["adjusted", "nominal"]) -> 
         inputs[:] = 0.0
         differs[:] = False
     return LoopGains(local_gains=local, network_gains=network, input_gains=inputs, adjusted=differs)
+
+
+def nominal_gains(scenario: Scenario) -> LoopGains:
+    """Tables of the nominal gain at every delay, without designing any other."""
+    plant = plant_of(scenario)
+    nominal, operator = plant.nominal_gain, plant.operator_gain
+    if plant.kind == "network":
+        local, network = np.zeros_like(nominal), nominal
+    else:
+        local, network = nominal, np.zeros_like(nominal) if operator is None else operator
+    count = scenario.max_delay_steps + 1
+    return LoopGains.memoryless(
+        *(np.repeat(gain[None], count, axis=0) for gain in (network, local))
+    )

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.allocation.objective import UserTerms
-from hiersched.models.model import Belief, Setup
+from hiersched.models.model import Setup
 from hiersched.models.plant.feedback import LoopConstants
 from hiersched.scenario.schema import Scenario
 
@@ -103,7 +103,7 @@ class SlotState(NamedTuple):
         At the start of the coming slot; the last is that of the slot before; shape (E, U).
     multiplier
         Of each URLLC user's delay constraint, shape (E, R).
-    weight, index, need_mbps
+    weight, index_weight, need_mbps
         Factors of the utilities by a policy, what the rule's utilities are multiplied with (or
         urgencies), and the rate that a user can use of the slot, shape (E, U).
     delay_s, dexterity_index, gain_delay_steps
@@ -125,7 +125,7 @@ class SlotState(NamedTuple):
     rate_mbps: NDArray[np.float64]
     multiplier: NDArray[np.float64]
     weight: NDArray[np.float64]
-    index: NDArray[np.float64]
+    index_weight: NDArray[np.float64]
     need_mbps: NDArray[np.float64]
     delay_s: NDArray[np.float64]
     dexterity_index: NDArray[np.float64]
@@ -139,7 +139,7 @@ class SlotScratch(NamedTuple):
     terms: UserTerms
 
 
-def slot_constants(scenario: Scenario, gains: Gains, belief: Belief) -> SlotConstants:
+def slot_constants(scenario: Scenario, gains: Gains) -> SlotConstants:
     """Constants of a run.
 
     Parameters
@@ -148,8 +148,6 @@ def slot_constants(scenario: Scenario, gains: Gains, belief: Belief) -> SlotCons
         The validated scenario.
     gains
         Gains for every delay up to `scenario.max_delay_steps`.
-    belief
-        What the base station expects of the arrivals.
 
     Raises
     ------
@@ -157,6 +155,7 @@ def slot_constants(scenario: Scenario, gains: Gains, belief: Belief) -> SlotCons
         If the gains do not cover the scenario's delays.
     """
     radio, traffic, objective = scenario.radio, scenario.traffic, scenario.objective
+    belief = traffic.arrivals.belief(scenario)
     of_slice = [scenario.users.num_urllc, scenario.users.num_embb]
     deadline_s = np.repeat([traffic.deadline_s, traffic.embb_deadline_s], of_slice)
     return SlotConstants(
@@ -252,7 +251,7 @@ def slot_state(setup: Setup, *, has_report: bool) -> SlotState:
         rate_mbps=users(),
         multiplier=robots(),
         weight=users(),
-        index=users(),
+        index_weight=users(),
         need_mbps=users(),
         delay_s=robots(),
         dexterity_index=robots(),

@@ -15,8 +15,10 @@ from hiersched.core.pointer import Pointer
 from hiersched.core.seam import UNUSED, Plug, Seam, address_of
 from hiersched.models import seams
 from hiersched.models.model import Model, Setup
+from hiersched.policies.features import num_features, observe_worlds
+from hiersched.policies.find import find_policy
 from hiersched.policies.policy import LoggedDecisions, Owners, Policy, View, Weigher, Weights
-from hiersched.policies.registry import RULES, Rule
+from hiersched.policies.registry import Rule
 from hiersched.policies.seams import ALLOCATE, INDEX, WEIGH
 from hiersched.scenario.schema import Scenario
 from hiersched.simulator.loop import (
@@ -30,7 +32,7 @@ from hiersched.simulator.loop import (
     run_robots,
     run_slots,
 )
-from hiersched.simulator.models import models_of, snr_of
+from hiersched.simulator.models import models_of, snr_at_unit_fading
 from hiersched.simulator.record import SlotLayout, SlotRecord
 from hiersched.simulator.setup import (
     Gains,
@@ -90,8 +92,7 @@ class Simulator:
         self.setup = Setup(scenario=scenario, num_envs=len(keys), num_slots=num_slots)
         self.models: dict[str, Model] = models_of(scenario)
         self.words = {name: model.words(self.setup) for name, model in self.models.items()}
-        belief = self.models["arrivals"].belief(scenario)  # type: ignore[attr-defined]
-        self.constants: SlotConstants = slot_constants(scenario, gains, belief)
+        self.constants: SlotConstants = slot_constants(scenario, gains)
         self.state: SlotState = slot_state(self.setup, has_report=self.words["report"] is not None)
         self.view = _view(self.state, self.constants)
         self._layout = SlotLayout(
@@ -112,7 +113,10 @@ class Simulator:
         self._no_owners = np.zeros((0, 0, 0), np.uint32)
         self._prepared: dict[Hashable, _Prepared] = {}
         self._bases: dict[str, Rule] = {}
+        # Compiled functions themselves: a dispatcher looks at the type of every argument in every
+        # call, which takes longer than a slot.
         self._entry: Any = None
+        self._observe: Any = None
         self.reset(keys)
 
     def _plug(self, seam: Seam, name: str) -> Plug:
@@ -161,7 +165,7 @@ class Simulator:
         for name, model in self.models.items():
             if self.words[name] is not None:
                 model.reset(self.words[name], keys)
-        self.state.snr[:] = snr_of(self.scenario, self.models["path_loss"], keys)
+        self.state.snr[:] = snr_at_unit_fading(self.scenario, keys)
         draw_channels(Pointer(self._plugs), self._constants, self._state, self._slot)
 
     def run(
@@ -198,7 +202,7 @@ class Simulator:
             there or leave a user without a PRB, or slots beyond the horizon.
         """
         if isinstance(policy, str):
-            policy = self.rule(policy)
+            policy = find_policy(self.scenario, policy)
         if num_slots is None:
             num_slots = self._slots_of(policy, record)
         self._set(policy, weights, multipliers)
@@ -222,7 +226,10 @@ class Simulator:
         ValueError
             If there is none.
         """
-        return RULES[name].standard(self.scenario)  # type: ignore[attr-defined]
+        rule = find_policy(self.scenario, name)
+        if not isinstance(rule, Rule):
+            raise ValueError(f"rule = {name!r}: a policy that calls Python, not a compiled rule")
+        return rule
 
     def _slots_of(self, policy: AnyPolicy, record: SlotRecord | None) -> int:
         if record is not None:
@@ -290,7 +297,7 @@ class Simulator:
                     plugs |= {"how": OWN, "allocate": self._plug_policy(ALLOCATE, rule, kept)}
                 else:
                     plugs |= self._allocation(rule.allocation, kept)
-                    plugs["index"] = self._plug_policy(INDEX, rule, kept)
+                    plugs["rule"] = self._plug_policy(INDEX, rule, kept)
                 if isinstance(policy, Weigher):
                     plugs["weigh"] = self._plug_policy(WEIGH, policy, kept)
             pointer = Pointer(self._plugs._replace(**plugs))
@@ -333,8 +340,6 @@ class Simulator:
             record.rows,
         )
         if self._entry is None:
-            # The compiled function itself: a dispatcher looks at the type of every argument, which
-            # takes longer than a slot.
             self._entry = run_slots.compile(tuple(map(typeof, arguments)))
         self._entry(*arguments)
 
@@ -343,6 +348,32 @@ class Simulator:
         self.state.fading_power[:] = fading_power
         where = self._constants, self._state, self._slot
         rate_channels(Pointer(self._plugs), *where)
+
+    def features(
+        self, multipliers: NDArray[np.float64], *, observe_robots: bool = False
+    ) -> NDArray[np.float32]:
+        """Features of every user at the start of the coming slot (`policies.features`).
+
+        Parameters
+        ----------
+        multipliers
+            Multiplier of each URLLC user's delay constraint, shape (E, R); put into the state.
+        observe_robots
+            Whether `ROBOT_FEATURES` follow.
+
+        Returns
+        -------
+        features
+            Shape (E, U, F), float32; of slice means there are none.
+        """
+        self.state.multiplier[:] = multipliers
+        shape = (*self.state.weight.shape, num_features(observe_robots))
+        features = np.empty(shape, np.float32)
+        arguments = self._constants, self._state, bool(observe_robots), features
+        if self._observe is None:
+            self._observe = observe_worlds.compile(tuple(map(typeof, arguments)))
+        self._observe(*arguments)
+        return features
 
     def decide(
         self,
@@ -434,7 +465,7 @@ class Simulator:
 
 def _view(state: SlotState, constants: SlotConstants) -> View:
     """Return what a policy in Python is shown, which it cannot write into."""
-    arrays = {
+    arrays: dict[str, NDArray[Any]] = {
         "slot": state.slot,
         "rate_mbps": state.reported_rate_mbps,
         "backlog_packets": state.backlog_packets,
@@ -447,4 +478,4 @@ def _view(state: SlotState, constants: SlotConstants) -> View:
     shown = {name: values.view() for name, values in arrays.items()}
     for values in shown.values():
         values.flags.writeable = False
-    return View(**shown, constants=constants)  # type: ignore[arg-type]
+    return View(**shown, constants=constants)

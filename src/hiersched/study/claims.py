@@ -273,7 +273,7 @@ def _gains(frames: Frames, scenario: Scenario) -> Claim:
             )
         conditions.append(
             Condition(
-                axis="control.method, control.plant",
+                axis="control.method, control.loop",
                 value=f"{method}, {plant}",
                 policy="none",
                 statements=tuple(statements),

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
+from itertools import product
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -71,28 +72,45 @@ def measure_group(results_dir: Path, scenario: Scenario, group: str) -> pd.DataF
     FileNotFoundError
         If a log of the scenario's policies and seeds is missing.
     """
-    rows: list[dict[str, Any]] = []
+    return pd.DataFrame(
+        [
+            {
+                **_row(run_metrics(_existing(results_dir / run.name), run.scenario), run.scenario),
+                "stage": run.stage,
+                "axis": run.axis,
+                "value": run.value,
+            }
+            for run in _runs(scenario, group)
+        ]
+    )
 
-    def measure(name: str, own: Scenario, stage: str, axis: str = "", value: str = "") -> None:
-        row = _row(run_metrics(_existing(results_dir / name), own), own)
-        rows.append({**row, "stage": stage, "axis": axis, "value": value})
 
+class _Run(NamedTuple):
+    """A log to be measured, and what was run."""
+
+    name: str
+    scenario: Scenario
+    stage: str
+    axis: str = ""
+    value: str = ""
+
+
+def _runs(scenario: Scenario, group: str) -> Iterator[_Run]:
+    """Yield the runs of a group in the order of the scenario."""
     for policy in group_policies(scenario, scenario.evaluate.policies, group):
         for seed in scenario.evaluate.seeds:
-            measure(paths.evaluation_log(policy, seed), scenario, "evaluate")
+            yield _Run(paths.evaluation_log(policy, seed), scenario, "evaluate")
     for axis in SWEPT_KEYS:
         for policy in group_policies(scenario, swept_policies(scenario, axis), group):
-            for value in swept_values(scenario, axis):
-                for seed in scenario.sweeps.seeds:
-                    name = paths.sweep_log(axis, policy, value, seed)
-                    measure(name, scenario, "sweep", axis, value_text(value))
+            for value, seed in product(swept_values(scenario, axis), scenario.sweeps.seeds):
+                name = paths.sweep_log(axis, policy, value, seed)
+                yield _Run(name, scenario, "sweep", axis, value_text(value))
     for cell in scenario.generalise.cells:
         variant = cell_scenario(scenario, cell)
         for policy in group_policies(scenario, scenario.generalise.policies, group):
             for seed in scenario.generalise.seeds:
                 name = paths.cell_log(cell, policy, seed)
-                measure(name, variant, "generalise", "cell", cell_text(cell))
-    return pd.DataFrame(rows)
+                yield _Run(name, variant, "generalise", "cell", cell_text(cell))
 
 
 def write_measures(results_dir: Path, scenario: Scenario, group: str) -> None:

@@ -56,7 +56,7 @@ def draw_gain_grid(grid: pd.DataFrame, scenario: Scenario) -> Figure:
     control, study = scenario.control, scenario.gain_study
     caption(
         figure,
-        f"{GAIN_METHODS[control.method].label} gains, {control.plant} plant, h = "
+        f"{GAIN_METHODS[control.method].label} gains, {scenario.plant_name} plant, h = "
         f"{1e3 * control.sampling_s:g} ms. Means over {study.sweep_robots} robots and "
         f"{len(study.seeds)} seeds in windows of constant violated delay, with 95 % "
         "intervals. Bold: the interval excludes 1. Hatched: the nominal gain stays in force, the "

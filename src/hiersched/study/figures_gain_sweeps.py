@@ -69,7 +69,7 @@ def draw_gain_sweeps(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     right.set_title("(c) ratio against noise")
     caption(
         figure,
-        f"q = {scenario.control.weight:g}, {scenario.control.plant} plant, {look.label} gains. "
+        f"q = {scenario.control.weight:g}, {scenario.plant_name} plant, {look.label} gains. "
         f"Grey: the violated delays of (b) and (c), uniform in {low:g} to {high:g} ms. Means over "
         f"{study.sweep_robots} robots and {len(study.seeds)} seeds, 95 % "
         "intervals. (a): spectral radius of the lifted system, delays in whole samples.",

@@ -42,7 +42,7 @@ def resolution(name: str, runs: pd.DataFrame, scenario: Scenario) -> float:
     slots, robots = int(runs["num_slots"].min()), scenario.users.num_urllc
     if name.endswith("_late_share"):
         due = float(runs[name.replace("late_share", "due_packets")].min())
-        return scenario.traffic.batch_packets / due if due > 0.0 else 0.0
+        return scenario.traffic.arrivals.packets_at_once() / due if due > 0.0 else 0.0
     if name.startswith("urllc_users_violating"):
         return 1.0 / robots
     if name == "off_track_share":

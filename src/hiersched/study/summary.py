@@ -253,12 +253,8 @@ def schedule_table(schedules: dict[str, GainSchedule], scenario: Scenario) -> pd
     """Return the gain in force at every delay: status, deviation, certificate, spectral radii."""
     rows = []
     for schedule in schedules.values():
-        kind: Literal["network", "split", "linear"] = (
-            "split" if schedule.kind == "split" else "network"
-        )
-        if scenario.control.plant == "linear":
-            kind = "linear"
-        control = replace(scenario.control, plant=kind, sampling_s=schedule.sampling_s)
+        kind: Literal["network", "split"] = "split" if schedule.kind == "split" else "network"
+        control = replace(scenario.control, loop=kind, sampling_s=schedule.sampling_s)
         plant = plant_of(replace(scenario, control=control))
         loop = plant.closed_loop(schedule.nominal)
         nominal_radii = spectral_radius_by_delay(*loop, schedule.max_delay_steps)

@@ -10,8 +10,8 @@ from typing import Any
 
 import pandas as pd
 
-from hiersched.scenario import Scenario, load_scenario, parameter_notes, scenario_to_dict
-from hiersched.scenario.load import CONFIG
+from hiersched.scenario import Scenario, load_scenario, scenario_notes, scenario_to_dict
+from hiersched.scenario.plugins import CONFIG
 from hiersched.study.collect import (
     cell_frame,
     evaluation_frame,
@@ -264,7 +264,7 @@ def parameter_table(scenario: Scenario, defaults: Path | None = None) -> pd.Data
     values = scenario_to_dict(scenario)
     defaults_values = scenario_to_dict(load_scenario(path, defaults=path))
     rows = []
-    for note in parameter_notes(path):
+    for note in scenario_notes(scenario, path):
         value, default = _at(values, note.key), _at(defaults_values, note.key)
         if note.key == "learners":
             value = {name: differing_keys(scenario, name) for name in scenario.learners}
@@ -343,8 +343,9 @@ def _alignment(table: pd.DataFrame, name: str) -> str:
 
 
 def _at(values: Any, key: str) -> Any:
+    """Return the value at a dotted key, or null where another model has no such key."""
     for part in key.split("."):
-        values = values[part]
+        values = values.get(part)
     return values
 
 

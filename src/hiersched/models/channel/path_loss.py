@@ -1,28 +1,50 @@
-"""What distance and obstacles take: nothing, or a macro cell's path loss and shadowing."""
+"""What distance and obstacles take of the power."""
 
 from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hiersched.core.parameters import NonNegative, Note, Positive
 from hiersched.models.channel.link_budget import large_scale_gain
-from hiersched.models.model import PathLoss
+from hiersched.models.model import PATH_LOSS, PathLoss
+
+if TYPE_CHECKING:
+    from hiersched.scenario.schema import Scenario
 
 
+@PATH_LOSS.model
+@dataclass(frozen=True, kw_only=True)
 class NoPathLoss(PathLoss):
-    """All users are as near."""
+    """No loss: users differ by fading alone."""
+
+    model: Annotated[
+        Literal["none"],
+        Note("model", "paper", "none | macro (128.1 + 37.6 log10(d/km) dB with shadowing)"),
+    ] = "none"
 
     def gain(self, key: int, num_users: int) -> NDArray[np.float64]:
-        """As in `PathLoss`."""
+        """Return gains of 1, shape (num_users,)."""
         return np.ones(num_users)
 
 
+@PATH_LOSS.model
+@dataclass(frozen=True, kw_only=True)
 class Macro(PathLoss):
-    """Users placed uniformly over a disc: 128.1 + 37.6 log10(d / 1 km) dB, log-normal shadowing."""
+    """Macro cell at 2 GHz (3GPP TR 36.942): users uniform over a disc, log-normal shadowing."""
 
-    cell_radius_m: float
-    min_distance_m: float
-    shadowing_db: float
+    model: Annotated[
+        Literal["macro"], Note("model", "paper", "128.1 + 37.6 log10(d/km) dB with shadowing")
+    ] = "macro"
+    cell_radius_m: Annotated[Positive, Note("m", "paper", "users lie within it")] = 400.0
+    min_distance_m: Annotated[Positive, Note("m", "assumed", "users lie beyond it")] = 35.0
+    shadowing_db: Annotated[
+        NonNegative, Note("dB", "assumed", "standard deviation of the log-normal shadowing")
+    ] = 8.0
 
     def gain(self, key: int, num_users: int) -> NDArray[np.float64]:
         """As in `PathLoss`."""
@@ -33,3 +55,17 @@ class Macro(PathLoss):
             min_distance_m=self.min_distance_m,
             shadowing_db=self.shadowing_db,
         )
+
+    def least_gain_db(self) -> float:
+        """Return that at the edge: normal draws from doubles stay within nine deviations."""
+        edge_loss_db = 128.1 + 37.6 * math.log10(self.cell_radius_m / 1000.0)
+        return -(edge_loss_db + 9.0 * self.shadowing_db)
+
+    def faults(self, scenario: Scenario) -> list[str]:
+        """Say where no user could lie."""
+        if self.min_distance_m < self.cell_radius_m:
+            return []
+        return [
+            f"radio.path_loss.min_distance_m = {self.min_distance_m}: must be below "
+            f"radio.path_loss.cell_radius_m = {self.cell_radius_m}"
+        ]

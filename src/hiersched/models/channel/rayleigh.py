@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hiersched.core.parameters import Note, Positive
 from hiersched.core.randomness import draw_exponentials
-from hiersched.models.model import Model, Setup
+from hiersched.models.model import FADING, Model, Setup
 from hiersched.models.seams import DRAW_FADING
 
 
@@ -19,10 +21,15 @@ class RayleighWords(NamedTuple):
     words: NDArray[np.uint32]
 
 
+@FADING.model
+@dataclass(frozen=True, kw_only=True)
 class Rayleigh(Model):
-    """Block fading: h^2 = 2 s^2 Exp(1), anew in every slot."""
+    """Amplitudes of scale s."""
 
-    scale: float
+    model: Annotated[
+        Literal["rayleigh"], Note("model", "paper", "rayleigh (every slot, user and PRB anew)")
+    ] = "rayleigh"
+    scale: Annotated[Positive, Note("1", "paper", "s of the Rayleigh amplitude, E[h^2] = 2 s^2")]
 
     def words(self, setup: Setup) -> RayleighWords:
         """As in `Model`."""

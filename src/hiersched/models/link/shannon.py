@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.core.compiled import kernel
 from hiersched.core.numerics import log2_f64
-from hiersched.models.model import Model, Setup
+from hiersched.core.parameters import Note
+from hiersched.models.model import LINK, Model, Setup
 from hiersched.models.seams import DELIVER, RATE_PRBS
 
 
@@ -19,8 +21,14 @@ class ShannonWords(NamedTuple):
     prb_bandwidth_mhz: float
 
 
+@LINK.model
+@dataclass(frozen=True, kw_only=True)
 class Shannon(Model):
-    """Every bit that Shannon's formula allows arrives in its slot."""
+    """Every PRB carries its capacity."""
+
+    model: Annotated[
+        Literal["shannon"], Note("model", "paper", "shannon (B log2(1 + SNR), all of it arrives)")
+    ] = "shannon"
 
     def words(self, setup: Setup) -> ShannonWords:
         """As in `Model`."""

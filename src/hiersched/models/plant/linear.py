@@ -6,19 +6,22 @@ The state is held between samples.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from hiersched.core.compiled import inner_kernel
+from hiersched.core.parameters import Matrix, NonEmpty, NonNegative, Note, Positive
 from hiersched.core.randomness import (
     NormalScratch,
     draw_robot_normals,
     normal_rows,
     normal_scratch,
 )
-from hiersched.models.model import Plant, Setup
+from hiersched.models.model import PLANT, Plant, Setup
 from hiersched.models.plant.dexterity import window_index
 from hiersched.models.plant.feedback import (
     LoopConstants,
@@ -31,6 +34,7 @@ from hiersched.models.plant.feedback import (
 from hiersched.models.seams import DRIVE
 
 if TYPE_CHECKING:
+    from hiersched.control import DelayedPlant
     from hiersched.scenario.schema import Scenario
 
 
@@ -61,13 +65,142 @@ class LinearWords(NamedTuple):
     normal_rows: NDArray[np.float32]
 
 
+Index = Annotated[int, Field(ge=0)]
+
+
+@PLANT.model
+@dataclass(frozen=True, kw_only=True)
 class Linear(Plant):
     """Robots that are a discrete linear plant: n states, m inputs, matrices row by row."""
 
+    model: Annotated[Literal["linear"], Note("model", "assumed", "linear (given by matrices)")] = (
+        "linear"
+    )
+    A: Annotated[
+        Matrix,
+        Note(
+            "1",
+            "assumed",
+            "x(k+1) = A x(k) + A_d x(k-d) + B u(k), n x n, for one interval of control.sampling_s",
+        ),
+    ]
+    A_d: Annotated[
+        Matrix | None,
+        Note("1", "assumed", "n x n, what the network delays; null = the whole feedback"),
+    ] = None
+    B: Annotated[Matrix, Note("1", "assumed", "n x m")]
+    Q: Annotated[
+        Matrix,
+        Note("1", "assumed", "state weight of the regulator, n x n; control.weight is not used"),
+    ]
+    R: Annotated[Matrix, Note("1", "assumed", "input weight, m x m")]
+    process_noise: Annotated[
+        tuple[NonNegative, ...], Note("states", "assumed", "n standard deviations, a sample")
+    ]
+    measurement_noise: Annotated[
+        tuple[NonNegative, ...], Note("states", "assumed", "n standard deviations")
+    ]
+    input_limits: Annotated[
+        tuple[Positive, ...] | None,
+        Note("inputs", "assumed", "m limits of the inputs' size; null = none"),
+    ] = None
+    error_states: Annotated[
+        Annotated[tuple[Index, ...], NonEmpty],
+        Note(
+            "indices",
+            "assumed",
+            "states, from 0 on, whose norm is the tracking error (1 counts as 1 m)",
+        ),
+    ]
+
+    design_keys: ClassVar[tuple[str, ...] | None] = ("A", "A_d", "B", "Q", "R")
+
+    def loop(self, scenario: Scenario) -> Literal["network", "split"]:
+        """Return ``split`` where A_d says what the network delays."""
+        return "network" if self.A_d is None else "split"
+
     def sizes(self, scenario: Scenario) -> tuple[int, int, int]:
-        """As in `Plant`."""
-        n, m = np.shape(self.B)
-        return n, m, 2 * n
+        """Return n, m and 2n normals: process noise, then measurement noise."""
+        return len(self.A), len(self.B[0]), 2 * len(self.A)
+
+    def design(self, scenario: Scenario) -> DelayedPlant:
+        """Return the plant itself.
+
+        Without A_d the whole feedback crosses the network (``network``); with it the feedback K,
+        the regulator of (A, B), acts at once, and A_d x(k-d) is what the network delays
+        (``split``).
+
+        Raises
+        ------
+        ValueError
+            As `hiersched.control.DelayedPlant` and `dlqr`; the message begins with the matrix.
+        """
+        from hiersched.control import DelayedPlant, dlqr, network_plant
+
+        sampling_s = scenario.control.sampling_s
+        A, B, Q, R = (np.array(matrix) for matrix in (self.A, self.B, self.Q, self.R))
+        if self.A_d is None:
+            return network_plant(A, B, Q, R, sampling_s=sampling_s)
+        return DelayedPlant(
+            A=A,
+            B=B,
+            Q=Q,
+            R=R,
+            kind="split",
+            nominal_gain=dlqr(A, B, Q, R)[0],
+            A_d=np.array(self.A_d),
+            sampling_s=sampling_s,
+        )
+
+    def faults(self, scenario: Scenario) -> list[str]:
+        """Say what is wrong with shapes, matrices and times."""
+        ragged = [
+            f"plant.{name}: rows of {sorted({len(row) for row in matrix})} values, must be as "
+            "long as each other"
+            for name in ("A", "A_d", "B", "Q", "R")
+            if (matrix := getattr(self, name)) is not None and len({len(r) for r in matrix}) != 1
+        ]
+        if ragged:
+            return ragged
+        try:
+            n, m = self.design(scenario).B.shape
+        except ValueError as error:
+            text = str(error)
+            return [f"plant.{text}" if text[0].isalpha() else f"plant: {text}"]
+        return [*self._vector_faults(n, m), *self._time_faults(scenario)]
+
+    def _vector_faults(self, n: int, m: int) -> list[str]:
+        faults = [
+            f"plant.{name} = {list(values)}: {len(values)} values, must be {count}, one a {what}"
+            for name, values, count, what in (
+                ("process_noise", self.process_noise, n, "state"),
+                ("measurement_noise", self.measurement_noise, n, "state"),
+                ("input_limits", self.input_limits, m, "input"),
+            )
+            if values is not None and len(values) != count
+        ]
+        states = self.error_states
+        if len(set(states)) != len(states) or any(state >= n for state in states):
+            faults.append(
+                f"plant.error_states = {list(states)}: must be different, from 0 to {n - 1}"
+            )
+        return faults
+
+    def _time_faults(self, scenario: Scenario) -> list[str]:
+        sampling_s, slot_s = scenario.control.sampling_s, scenario.radio.slot_s
+        faults = []
+        is_multiple = abs(sampling_s / slot_s - round(sampling_s / slot_s)) <= 1e-9
+        if not is_multiple or sampling_s < 0.5 * slot_s:
+            faults.append(
+                f"control.sampling_s = {sampling_s}: must be a multiple of radio.slot_s = {slot_s} "
+                "with plant.model = 'linear'"
+            )
+        if scenario.sweeps.sampling_s != (sampling_s,):
+            faults.append(
+                f"sweeps.sampling_s = {list(scenario.sweeps.sampling_s)}: must be [{sampling_s}] "
+                "with plant.model = 'linear', whose matrices hold for control.sampling_s alone"
+            )
+        return faults
 
     def words(self, setup: Setup) -> LinearWords:
         """As in `Model`."""

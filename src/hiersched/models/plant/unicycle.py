@@ -7,15 +7,17 @@ departure of speed and turn rate from the reference.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.core.compiled import inner_kernel
 from hiersched.core.numerics import cos_half, sin_half, wrap_angle
+from hiersched.core.parameters import Note
 from hiersched.core.randomness import NormalScratch, draw_normals, normal_scratch
-from hiersched.models.model import Plant, Setup
+from hiersched.models.model import PLANT, Plant, Setup
 from hiersched.models.plant.dexterity import MIN_SPEED_MPS, window_index
 from hiersched.models.plant.feedback import (
     LoopConstants,
@@ -36,6 +38,7 @@ from hiersched.models.plant.reference import (
 from hiersched.models.seams import DRIVE
 
 if TYPE_CHECKING:
+    from hiersched.control import DelayedPlant
     from hiersched.scenario.schema import Robot, Scenario
 
 NUM_STATES = 5
@@ -99,12 +102,49 @@ class UnicycleWords(NamedTuple):
             self.lanes[:, block, STATE + lane : SLIP + lane : LANES] = value[:, robot]
 
 
+POSE_STATES = (0, 1, 2)
+"""What the operator of a split plant feeds back: the pose that the video shows."""
+
+
+@PLANT.model
+@dataclass(frozen=True, kw_only=True)
 class Unicycle(Plant):
-    """Wheeled robots that follow a reference; their parameters are in the section `robot`."""
+    """A robot on two wheels that follows a reference; section `robot` holds its parameters."""
+
+    model: Annotated[
+        Literal["unicycle"],
+        Note("model", "paper", "unicycle (section robot) | linear (matrices)"),
+    ] = "unicycle"
+
+    has_pose: ClassVar[bool] = True
+    chooses_loop: ClassVar[bool] = True
 
     def sizes(self, scenario: Scenario) -> tuple[int, int, int]:
-        """As in `Plant`."""
+        """Return five states, two inputs, and five normals: two of slip, three of measurement."""
         return NUM_STATES, NUM_INPUTS, 5
+
+    def design(self, scenario: Scenario) -> DelayedPlant:
+        """Return the linear error model of a robot on a straight line."""
+        # Scenarios are read often and gains are designed seldom: SciPy takes its time to import.
+        from hiersched.control import network_plant, split_plant, tracking_weights
+        from hiersched.models.plant.error_model import discretise, unicycle_error_model
+
+        robot, control = scenario.robot, scenario.control
+        A, B = discretise(
+            *unicycle_error_model(robot.speed_mps, 0.0, robot.actuator_lag_s), control.sampling_s
+        )
+        Q, R = tracking_weights(control.weight, control.sampling_s)
+        if control.loop == "network":
+            return network_plant(A, B, Q, R, sampling_s=control.sampling_s)
+        return split_plant(
+            A,
+            B,
+            Q,
+            R,
+            operator_share=control.operator_share,
+            operator_states=POSE_STATES,
+            sampling_s=control.sampling_s,
+        )
 
     def words(self, setup: Setup) -> UnicycleWords:
         """As in `Model`."""

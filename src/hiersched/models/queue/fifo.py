@@ -7,13 +7,15 @@ packet in service counts as waiting until its last bit is out. All counts are do
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.core.compiled import kernel
-from hiersched.models.model import Model, Setup
+from hiersched.core.parameters import Note
+from hiersched.models.model import QUEUE, Model, Setup
 from hiersched.models.seams import SERVE
 
 
@@ -28,8 +30,12 @@ class FifoWords(NamedTuple):
     head: NDArray[np.int64]
 
 
+@QUEUE.model
+@dataclass(frozen=True, kw_only=True)
 class Fifo(Model):
-    """One queue a user."""
+    """Every user's packets leave in the order in which they came."""
+
+    model: Annotated[Literal["fifo"], Note("model", "paper", "fifo (first in, first out)")] = "fifo"
 
     def words(self, setup: Setup) -> FifoWords:
         """As in `Model`."""

@@ -5,19 +5,23 @@ The uniform, not the count, is the world's: the Poisson quantile of it depends o
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from hiersched.allocation.objective import mean_arrivals
 from hiersched.core.compiled import kernel
 from hiersched.core.numerics import exp_f64
-from hiersched.models.model import Arrivals, Setup
+from hiersched.core.parameters import Count, NonNegative, Note
+from hiersched.models.model import ARRIVALS, Arrivals, Belief, Setup
 from hiersched.models.seams import OFFER
 
 if TYPE_CHECKING:
-    pass
+    from hiersched.scenario.schema import Scenario
 
 LANES = 32
 """Users side by side. A block of them is one flat array, field after field: with offsets that the
@@ -45,10 +49,82 @@ class PoissonWords(NamedTuple):
     lanes: NDArray[np.float64]
 
 
+@ARRIVALS.model
+@dataclass(frozen=True, kw_only=True)
 class Poisson(Arrivals):
-    """Batches of packets, Poisson a slot."""
+    """Batches of packets, Poisson a slot; URLLC arrivals fall with the user's data rate."""
 
-    batch_packets: int
+    model: Annotated[
+        Literal["poisson"], Note("model", "assumed", "poisson (batches of packets, every slot)")
+    ] = "poisson"
+    batch_packets: Annotated[
+        Count,
+        Note("packets", "assumed", "packets arrive in batches of this size (1 = plain Poisson)"),
+    ]
+    rate_sensitivity: Annotated[
+        float,
+        Field(ge=0, lt=1),
+        Note("1", "paper", "alpha, arrivals fall by alpha times the data rate"),
+    ]
+    reference_rate_mbps: Annotated[
+        NonNegative, Note("Mbit/s", "assumed", "data rate at which urllc_offered_mbps holds")
+    ]
+    application_delay_s: Annotated[
+        NonNegative | None,
+        Note(
+            "s",
+            "assumed",
+            "D_i in the arrival interval tau + D_i; null = deadline_s, as in the queue equation",
+        ),
+    ]
+
+    def interval_s(self, scenario: Scenario) -> float:
+        """Return the interval of a URLLC user's arrivals, tau + D_i [s]."""
+        delay_s = self.application_delay_s
+        return scenario.radio.slot_s + (scenario.traffic.deadline_s if delay_s is None else delay_s)
+
+    def belief(self, scenario: Scenario) -> Belief:
+        """As in `Arrivals`; eMBB arrivals depend on no rate."""
+        slot_s, traffic = scenario.radio.slot_s, scenario.traffic
+        num_urllc, num_embb = scenario.users.num_urllc, scenario.users.num_embb
+        packet_mbit = traffic.packet_bits * 1e-6
+        interval_s = self.interval_s(scenario)
+        offered_urllc = traffic.load * _per_user(traffic.urllc_offered_mbps, num_urllc)
+        offered_embb = traffic.load * _per_user(traffic.embb_offered_mbps, num_embb)
+        # lambda_0 such that the load at the reference rate is the offered one: the interval of the
+        # arrivals is longer than a slot (SPEC 2), so lambda_0 is smaller than the load.
+        base = offered_urllc * slot_s / interval_s + (
+            self.rate_sensitivity * self.reference_rate_mbps
+        )
+        return Belief(
+            offered_mbps=np.concatenate([base, offered_embb]),
+            rate_sensitivity=np.repeat([self.rate_sensitivity, 0.0], [num_urllc, num_embb]),
+            packets_per_mbps=np.repeat([interval_s, slot_s], [num_urllc, num_embb]) / packet_mbit,
+            mean_due_packets=np.concatenate([offered_urllc, offered_embb]) * slot_s / packet_mbit,
+        )
+
+    def packets_at_once(self) -> float:
+        """Return the size of a batch."""
+        return float(self.batch_packets)
+
+    def faults(self, scenario: Scenario) -> list[str]:
+        """Say where mean batches a slot are beyond what the Poisson quantile can sum."""
+        loads = {"traffic.load": (scenario.traffic.load,), "sweeps.load": scenario.sweeps.load}
+        return [
+            f"{key} = {load}: up to {batches:.6g} batches a slot and user on average, must stay "
+            f"within {MAX_MEAN:g} (lower the load or the offered rates, or raise "
+            "traffic.packet_bits or traffic.arrivals.batch_packets)"
+            for key, values in loads.items()
+            for load in values
+            if (batches := self._most_batches(scenario, load)) > MAX_MEAN
+        ]
+
+    def _most_batches(self, scenario: Scenario, load: float) -> float:
+        slot_s, traffic = scenario.radio.slot_s, scenario.traffic
+        urllc = load * np.max(traffic.urllc_offered_mbps) * slot_s
+        urllc += self.rate_sensitivity * self.reference_rate_mbps * self.interval_s(scenario)
+        most = max(urllc, load * np.max(traffic.embb_offered_mbps) * slot_s)
+        return float(most * (1e6 / (traffic.packet_bits * self.batch_packets)))
 
     def words(self, setup: Setup) -> PoissonWords:
         """As in `Model`.
@@ -65,7 +141,7 @@ class Poisson(Arrivals):
             raise ValueError(
                 f"user {user}: up to {worst[user]:.6g} batches a slot on average; at most "
                 f"{MAX_MEAN:g} (lower traffic.load or the offered rate, or raise "
-                "traffic.packet_bits or batch_packets)"
+                "traffic.packet_bits or traffic.arrivals.batch_packets)"
             )
         return PoissonWords(
             batch_packets=self.batch_packets,
@@ -74,6 +150,10 @@ class Poisson(Arrivals):
             packets_per_mbps=belief.packets_per_mbps,
             lanes=np.zeros((-(-len(worst) // LANES), NUM_ARRIVAL_LANES)),
         )
+
+
+def _per_user(value: float | Sequence[float], count: int) -> NDArray[np.float64]:
+    return np.broadcast_to(np.asarray(value, dtype=np.float64), (count,)).copy()
 
 
 @OFFER.kernel(PoissonWords)

@@ -1,0 +1,320 @@
+"""Trained networks inside the slot loop: the same bits on every machine and in every batch.
+
+A world is evaluated on its own, so that a batch cannot change its bits. Every sum runs in the
+order that is written here, with fused multiply-adds: the vector width of a processor decides which
+sums run side by side, never the order within one. An action differs from the one that torch forms
+of the same features by less than 1e-6.
+
+The work arrays are part of a policy's words: one thread at a time may use them.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from math import prod
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from hiersched.core.compiled import inner_kernel
+from hiersched.core.numerics import F32, exp_f64, fma
+from hiersched.policies.features import num_features, observe_world
+from hiersched.policies.seams import WEIGH
+
+_NUM_AGENTS = 2
+_LINE = 16
+"""Floats of a cache line."""
+
+
+class SharedWords(NamedTuple):
+    """Two networks (agent 0 = URLLC, 1 = eMBB), each applied to every user of its slice.
+
+    A user's inputs are its features, its slice's mean and the other slice's mean. The hidden layers
+    have H_1 ... H_L outputs; W is the largest, and some zeros more.
+    """
+
+    observe_robots: bool
+    weight_exponent: float  # c of w = exp(c a)
+    first_user: NDArray[np.int64]  # (3,) 0, users of slice 0, users of both
+    sizes: NDArray[np.int64]  # (L,) H_1 ... H_L
+    table: NDArray[np.float32]  # (2, N, W) hidden layers one below another: bias, then weights
+    output_bias: NDArray[np.float32]  # (2, 1)
+    output_weight: NDArray[np.float32]  # (2, H_L)
+    features: NDArray[np.float32]  # (U, F) work array
+    mean: NDArray[np.float32]  # (2, F) work array
+    common: NDArray[np.float32]  # (H_1,) work array: what all users of a slice share
+    hidden: NDArray[np.float32]  # (L, W) work array
+
+
+class FlatWords(NamedTuple):
+    """Two networks (agent 0 = URLLC, 1 = eMBB) over the features of all users side by side.
+
+    Hidden layers as in `SharedWords`; outputs are as many as the larger slice has users.
+    """
+
+    observe_robots: bool
+    weight_exponent: float  # c of w = exp(c a)
+    first_user: NDArray[np.int64]  # (3,) 0, users of slice 0, users of both
+    sizes: NDArray[np.int64]  # (L,) H_1 ... H_L
+    table: NDArray[np.float32]  # (2, N, W) hidden layers one below another: bias, then weights
+    output_bias: NDArray[np.float32]  # (2, n)
+    output_weight: NDArray[np.float32]  # (2, H_L, n)
+    features: NDArray[np.float32]  # (U, F) work array
+    hidden: NDArray[np.float32]  # (L, W) work array
+    outputs: NDArray[np.float32]  # (n,) work array
+
+
+def network_words(
+    parameters: NDArray[np.float32],
+    network: str,
+    hidden: tuple[int, ...],
+    *,
+    observe_robots: bool,
+    weight_exponent: float,
+    num_urllc: int,
+    num_embb: int,
+) -> SharedWords | FlatWords:
+    """Lay out a trained policy for its kernel.
+
+    Parameters
+    ----------
+    parameters
+        Of both actors, shape (2, P), float32; of a layer after another bias, then weights (inputs,
+        outputs).
+    network, hidden
+        ``shared`` or ``mlp``, and outputs of the hidden layers, one at least.
+    observe_robots, weight_exponent
+        Whether the features of the robots are observed; c of w = exp(c a).
+    num_urllc, num_embb
+        Users of both slices. An ``mlp`` runs on the numbers that it was trained on.
+
+    Raises
+    ------
+    ValueError
+        If there is no such network, or `parameters` is not of its shape.
+    """
+    if network not in ("shared", "mlp"):
+        raise ValueError(f"network = {network!r}: must be 'shared' or 'mlp'")
+    num_users, count = num_urllc + num_embb, num_features(observe_robots)
+    inputs, outputs = (
+        (3 * count, 1) if network == "shared" else (num_users * count, max(num_urllc, num_embb))
+    )
+    biases, weights = _layers(parameters, (inputs, *hidden, outputs))
+    fields: dict[str, Any] = {
+        "observe_robots": observe_robots,
+        "weight_exponent": float(weight_exponent),
+        "first_user": np.array([0, num_urllc, num_users]),
+        "sizes": np.array(hidden),
+        "table": _table(biases[:-1], weights[:-1]),
+        "output_bias": biases[-1],
+        "features": np.zeros((num_users, count), np.float32),
+        "hidden": _aligned((len(hidden), max(hidden))),
+    }
+    if network == "mlp":
+        return FlatWords(
+            **fields,
+            output_weight=weights[-1],
+            outputs=np.zeros(outputs, np.float32),
+        )
+    return SharedWords(
+        **fields,
+        output_weight=weights[-1][:, :, 0].copy(),
+        mean=np.zeros((_NUM_AGENTS, count), np.float32),
+        common=np.zeros(hidden[0], np.float32),
+    )
+
+
+def _layers(
+    parameters: NDArray[np.float32], sizes: tuple[int, ...]
+) -> tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]]:
+    """Biases (2, outputs) and weights (2, inputs, outputs) of all layers, copies."""
+    wanted = (_NUM_AGENTS, sum((rows + 1) * columns for rows, columns in pairwise(sizes)))
+    if parameters.shape != wanted:
+        raise ValueError(
+            f"parameters of shape {parameters.shape}: must be {wanted} for layers of {sizes}"
+        )
+    biases, weights, start = [], [], 0
+    for rows, columns in pairwise(sizes):
+        middle, stop = start + columns, start + (rows + 1) * columns
+        biases.append(parameters[:, start:middle].astype(np.float32))
+        weight = parameters[:, middle:stop].reshape(_NUM_AGENTS, rows, columns)
+        weights.append(weight.astype(np.float32))
+        start = stop
+    return biases, weights
+
+
+def _table(
+    biases: list[NDArray[np.float32]], weights: list[NDArray[np.float32]]
+) -> NDArray[np.float32]:
+    """Layers one below another, shape (2, N, W); 0 beyond a layer's outputs."""
+    rows = sum(1 + weight.shape[1] for weight in weights)
+    width = max(bias.shape[1] for bias in biases)
+    table = _aligned((_NUM_AGENTS, rows, width))
+    row = 0
+    for bias, weight in zip(biases, weights, strict=True):
+        inputs, outputs = weight.shape[1:]
+        table[:, row, :outputs] = bias
+        table[:, row + 1 : row + 1 + inputs, :outputs] = weight
+        row += 1 + inputs
+    return table
+
+
+def _aligned(shape: tuple[int, ...]) -> NDArray[np.float32]:
+    """Zeros whose rows all begin with a cache line; the last axis is made longer for it.
+
+    Loads that cross lines take a fifth of the time of a product.
+    """
+    shape = (*shape[:-1], -(-shape[-1] // _LINE) * _LINE)
+    room = np.zeros(prod(shape) + _LINE, np.float32)
+    skipped = -room.ctypes.data // room.itemsize % _LINE
+    return room[skipped : skipped + prod(shape)].reshape(shape)
+
+
+@WEIGH.kernel(SharedWords)
+def weigh_shared(me: Any, constants: Any, state: Any, slot: Any, env: int) -> None:
+    """Weigh every user by its slice's network."""
+    observe_world(constants, state, env, me.observe_robots, me.features)
+    for agent in range(_NUM_AGENTS):
+        users = me.features[me.first_user[agent] : me.first_user[agent + 1]]
+        _mean_user(users, me.mean[agent])
+    for agent in range(_NUM_AGENTS):
+        _weigh_slice(me, agent, state.weight[env])
+
+
+@WEIGH.kernel(FlatWords)
+def weigh_flat(me: Any, constants: Any, state: Any, slot: Any, env: int) -> None:
+    """Weigh the users of each slice by its network, which sees all users."""
+    observe_world(constants, state, env, me.observe_robots, me.features)
+    num_users, num_features = me.features.shape
+    first, last = me.hidden[0, : me.sizes[0]], me.hidden[-1, : me.sizes[-1]]
+    for agent in range(_NUM_AGENTS):
+        table = me.table[agent]
+        _copy(table[0], first)
+        for user in range(num_users):
+            _add_product(me.features[user], table, 1 + user * num_features, first)
+        _further_layers(me, agent, 1 + num_users * num_features)
+        _copy(me.output_bias[agent], me.outputs)
+        _add_product(last, me.output_weight[agent], 0, me.outputs)
+        begin = me.first_user[agent]
+        for user in range(begin, me.first_user[agent + 1]):
+            state.weight[env, user] = _weight(me.outputs[user - begin], me.weight_exponent)
+
+
+@inner_kernel()
+def _mean_user(features: Any, mean: Any) -> None:
+    """Mean (F,) of the features (n, F) of a slice, in the order of its users."""
+    share = F32(1.0) / F32(features.shape[0])
+    for feature in range(mean.shape[0]):
+        mean[feature] = F32(0.0)
+    for user in range(features.shape[0]):
+        for feature in range(mean.shape[0]):
+            mean[feature] = fma(features[user, feature], share, mean[feature])
+
+
+@inner_kernel()
+def _weigh_slice(me: Any, agent: int, weight: Any) -> None:
+    """Fill the weights of a slice's users. First layer: bias, own mean, other mean, user."""
+    num_features = me.features.shape[1]
+    table, common = me.table[agent], me.common
+    first, last = me.hidden[0, : me.sizes[0]], me.hidden[-1, : me.sizes[-1]]
+    _copy(table[0], common)
+    _add_product(me.mean[agent], table, 1 + num_features, common)
+    _add_product(me.mean[1 - agent], table, 1 + 2 * num_features, common)
+    for user in range(me.first_user[agent], me.first_user[agent + 1]):
+        _copy(common, first)
+        _add_product(me.features[user], table, 1, first)
+        _further_layers(me, agent, 1 + 3 * num_features)
+        output = _dot(last, me.output_weight[agent]) + me.output_bias[agent, 0]
+        weight[user] = _weight(output, me.weight_exponent)
+
+
+@inner_kernel()
+def _further_layers(me: Any, agent: int, row: int) -> None:
+    """Evaluate the hidden layers of one input from the first one's affine part on.
+
+    `row` is where the second layer begins in the table.
+    """
+    table = me.table[agent]
+    seen = me.hidden[0, : me.sizes[0]]
+    _relu(seen)
+    for layer in range(1, me.sizes.shape[0]):
+        outputs = me.hidden[layer, : me.sizes[layer]]
+        _copy(table[row], outputs)
+        _add_product(seen, table, row + 1, outputs)
+        _relu(outputs)
+        row += 1 + seen.shape[0]
+        seen = outputs
+
+
+@njit(inline="always")
+def _copy(source: Any, target: Any) -> None:
+    for j in range(target.shape[0]):
+        target[j] = source[j]
+
+
+@njit(inline="always")
+def _relu(values: Any) -> None:
+    """Turn what has the sign bit into 0. A comparison would become a slow masked store."""
+    for j in range(values.shape[0]):
+        bits = np.float32(values[j]).view(np.int32)
+        values[j] = np.int32(bits & ~(bits >> np.int32(31))).view(np.float32)
+
+
+@inner_kernel()
+def _add_product(values: Any, table: Any, row: int, out: Any) -> None:
+    """out[j] += sum over i of values[i] table[row + i, j], in the order of i.
+
+    Eight rows at a time, so that a sum stays in a register for eight terms.
+    """
+    whole = values.shape[0] - values.shape[0] % 8
+    for i in range(0, whole, 8):
+        a, b, c, d = values[i], values[i + 1], values[i + 2], values[i + 3]
+        e, f, g, h = values[i + 4], values[i + 5], values[i + 6], values[i + 7]
+        first = row + i
+        for j in range(out.shape[0]):
+            total = fma(a, table[first, j], out[j])
+            total = fma(b, table[first + 1, j], total)
+            total = fma(c, table[first + 2, j], total)
+            total = fma(d, table[first + 3, j], total)
+            total = fma(e, table[first + 4, j], total)
+            total = fma(f, table[first + 5, j], total)
+            total = fma(g, table[first + 6, j], total)
+            out[j] = fma(h, table[first + 7, j], total)
+    for i in range(whole, values.shape[0]):
+        value = values[i]
+        for j in range(out.shape[0]):
+            out[j] = fma(value, table[row + i, j], out[j])
+
+
+@inner_kernel()
+def _dot(x: Any, y: Any) -> Any:
+    """Sum of products as eight interleaved sums s_k over x[k], x[k + 8], ...
+
+    They end as ((s0 + s4) + (s2 + s6)) + ((s1 + s5) + (s3 + s7)), plus the sum of what is left of
+    eights. One running sum would wait for itself at every term.
+    """
+    s0 = s1 = s2 = s3 = s4 = s5 = s6 = s7 = F32(0.0)
+    whole = x.shape[0] - x.shape[0] % 8
+    for i in range(0, whole, 8):
+        s0 = fma(x[i], y[i], s0)
+        s1 = fma(x[i + 1], y[i + 1], s1)
+        s2 = fma(x[i + 2], y[i + 2], s2)
+        s3 = fma(x[i + 3], y[i + 3], s3)
+        s4 = fma(x[i + 4], y[i + 4], s4)
+        s5 = fma(x[i + 5], y[i + 5], s5)
+        s6 = fma(x[i + 6], y[i + 6], s6)
+        s7 = fma(x[i + 7], y[i + 7], s7)
+    rest = F32(0.0)
+    for i in range(whole, x.shape[0]):
+        rest = fma(x[i], y[i], rest)
+    return ((s0 + s4) + (s2 + s6)) + ((s1 + s5) + (s3 + s7)) + rest
+
+
+@njit(inline="always")
+def _weight(output: Any, weight_exponent: float) -> float:
+    """Weight exp(c a) of the action a = tanh(output); both are float32, as the log has them."""
+    x = min(20.0, max(-20.0, np.float64(output)))  # beyond, tanh is 1 to the last bit
+    action = np.float64(F32(1.0 - 2.0 / (exp_f64(2.0 * x) + 1.0)))
+    return np.float64(F32(exp_f64(weight_exponent * action)))

@@ -1,0 +1,125 @@
+"""Faults of a scenario as text: file, key, value and what is allowed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Any, get_type_hints
+
+from pydantic import ValidationError
+
+from hiersched.models.model import SECTIONS, Section
+from hiersched.policies.registry import RULES
+from hiersched.scenario.old_keys import new_key
+from hiersched.scenario.schema import Scenario
+
+Location = tuple[str | int, ...]
+
+
+class ScenarioError(ValueError):
+    """A scenario that cannot be run: the message names file, key, value and what is allowed."""
+
+
+def describe(
+    error: ValidationError,
+    merged: Mapping[str, Any],
+    overlay: Mapping[str, Any],
+    names: tuple[Path, Path],
+) -> str:
+    """Return a line for every fault.
+
+    Parameters
+    ----------
+    error
+        What validation found.
+    merged, overlay
+        The scenario on its defaults, and what its own file holds.
+    names
+        The scenario's file, and that of the defaults.
+    """
+    lines = []
+    for item in error.errors():
+        # Branches of a union append their own name to the location: cut back to what stands in the
+        # file.
+        location = item["loc"]
+        while location and not _holds(merged, location) and item["type"] != "missing":
+            location = location[:-1]
+        path, defaults = names
+        source = path if _holds(overlay, location) or item["type"] == "missing" else defaults
+        lines.append(f"{source}: {_fault(item, location, merged)}")
+    return "\n".join(dict.fromkeys(lines))
+
+
+def own_faults(error: ValidationError, place: str, values: Mapping[str, Any]) -> list[str]:
+    """Return the faults of a mapping that stands at a dotted place, as ``key = value: …``."""
+    faults = []
+    for item in error.errors():
+        location = item["loc"]
+        while location and not _holds(values, location) and item["type"] != "missing":
+            location = location[:-1]
+        faults.append(f"{place}.{_fault(item, location, values)}")
+    return list(dict.fromkeys(faults))
+
+
+def _fault(item: Any, location: Location, merged: Mapping[str, Any]) -> str:
+    key = ".".join(str(part) for part in location)
+    if item["type"] == "missing":
+        return f"{key}: missing"
+    value = _value_at(merged, location)
+    message = item["msg"].replace("Input should be", "must be")
+    if item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+        message = new_key(key, value) or "unknown key"
+        allowed = allowed_keys(location[:-1], merged)
+        if message == "unknown key" and allowed:
+            message += f"; allowed: {', '.join(allowed)}"
+    elif isinstance(value, str) and re.fullmatch(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+", value):
+        message += " (YAML takes 1e-3 and 1.0e6 for text: write 1.0e-3, 1.0e+6)"
+    return f"{key} = {value!r}: {message}"
+
+
+def _holds(data: Any, location: Location) -> bool:
+    for part in location:
+        if isinstance(data, Mapping) and part in data:
+            data = data[part]
+        elif isinstance(data, list) and isinstance(part, int) and part < len(data):
+            data = data[part]
+        else:
+            return False
+    return True
+
+
+def _value_at(data: Any, location: Location) -> Any:
+    for part in location:
+        data = data[part]
+    return data
+
+
+def allowed_keys(location: Location, merged: Mapping[str, Any]) -> list[str]:
+    """Return the keys that a mapping at a place of a scenario may have; none for other places."""
+    if not location:
+        return [field.name for field in fields(Scenario)]
+    place = ".".join(str(part) for part in location)
+    if place in SECTIONS:
+        return _model_keys(SECTIONS[place], _value_at(merged, location))
+    section = str(location[0])
+    if section == "policies":
+        entry = _value_at(merged, location)
+        keys = ["import", "rule", "parameters"]
+        return keys if "import" in entry else _model_keys(RULES, entry)
+    return list(section_keys().get("learning" if section == "learners" else section, ()))
+
+
+def _model_keys(section: Section, values: Mapping[str, Any]) -> list[str]:
+    kind = section.loaded(str(values.get("model")))
+    return [] if kind is None else list(kind.notes())
+
+
+def section_keys() -> dict[str, tuple[str, ...]]:
+    """Return the keys of every section, but for sections that hold a model."""
+    return {
+        name: tuple(field.name for field in fields(hint))
+        for name, hint in get_type_hints(Scenario).items()
+        if is_dataclass(hint)
+    }

@@ -1,0 +1,97 @@
+"""What every key means: from the comments of the defaults, and from the classes of models."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from hiersched.models.model import SECTIONS
+from hiersched.scenario.fault_text import ScenarioError
+from hiersched.scenario.plugins import CONFIG
+from hiersched.scenario.schema import ImportedPolicy, Scenario, model_at
+
+_KEY_LINE = re.compile(
+    r"^(\s*)([A-Za-z_0-9]+):\s*([^#]*?)\s*"
+    r"(?:#\s*\[([^\]]+)\]\s*(paper|assumed)(?::\s*(.*))?|#.*)?$"
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParameterNote:
+    """What is said of one key: dotted key, unit, paper or assumed, meaning."""
+
+    key: str
+    unit: str
+    origin: str
+    meaning: str
+
+
+def parameter_notes(defaults: Path | None = None) -> list[ParameterNote]:
+    """Read unit, origin and meaning of every key, from the comments of the defaults file.
+
+    Raises
+    ------
+    ScenarioError
+        If a key has no comment of the form ``# [unit] paper|assumed: meaning``.
+    """
+    path = defaults if defaults is not None else CONFIG / "defaults.yaml"
+    notes: list[ParameterNote] = []
+    sections: list[tuple[int, str]] = []  # those that a line is in, and how far they are indented
+    for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
+        match = _KEY_LINE.match(line)
+        if match is None:
+            continue
+        indent, key, value, unit, origin, meaning = match.groups()
+        while sections and sections[-1][0] >= len(indent):
+            sections.pop()
+        if not value:
+            sections.append((len(indent), key))
+            continue
+        if unit is None:
+            raise ScenarioError(
+                f"{path}: line {number}: {key} lacks its comment '# [unit] paper|assumed: …'"
+            )
+        dotted = ".".join([*(name for _, name in sections), key])
+        notes.append(ParameterNote(key=dotted, unit=unit, origin=origin, meaning=meaning or ""))
+    return notes
+
+
+def scenario_notes(scenario: Scenario, defaults: Path | None = None) -> list[ParameterNote]:
+    """Return the note of every key that a scenario has.
+
+    The keys of models that are not the defaults' have theirs from the classes.
+
+    Raises
+    ------
+    ScenarioError
+        As `parameter_notes`.
+    """
+    notes = parameter_notes(defaults)
+    for section in SECTIONS:
+        places = [place for place, note in enumerate(notes) if _section(note.key) == section]
+        own = _model_notes(scenario, section, {notes[place].key: notes[place] for place in places})
+        notes[places[0] : places[-1] + 1] = own
+    for name, policy in scenario.policies.items():
+        if not isinstance(policy, ImportedPolicy):
+            notes += [
+                ParameterNote(key=f"policies.{name}.{key}", **vars(note))
+                for key, note in policy.notes().items()
+            ]
+    return notes
+
+
+def _section(key: str) -> str:
+    return key.rpartition(".")[0]
+
+
+def _model_notes(
+    scenario: Scenario, section: str, written: dict[str, ParameterNote]
+) -> list[ParameterNote]:
+    """Return the notes of a section's model; what the defaults say of its keys stands."""
+    model = model_at(scenario, section)
+    own = {
+        f"{section}.{key}": ParameterNote(key=f"{section}.{key}", **vars(note))
+        for key, note in model.notes().items()
+    }
+    return list(({**own, **written} if own.keys() == written.keys() else own).values())

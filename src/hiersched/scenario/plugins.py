@@ -1,0 +1,44 @@
+"""Plug-ins of a scenario: where their files lie, and what they consist of."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from types import ModuleType
+
+from hiersched.core.registry import PluginError, load_installed_plugins, load_plugin
+from hiersched.scenario.schema import Scenario
+
+CONFIG = Path("config")
+
+
+def load_plugins(names: Sequence[str], scenario_file: Path) -> list[str]:
+    """Import what installed packages add, and the files that a scenario names.
+
+    A file is looked for beside the scenario's file. A resolved scenario lies elsewhere, in the
+    results or in a log: for it the working directory and ``config/scenarios`` are searched as well.
+
+    Returns
+    -------
+    list
+        Faults, as ``key = value: what is wrong``; empty when there is none.
+    """
+    faults = []
+    try:
+        load_installed_plugins()
+    except PluginError as error:
+        faults.append(str(error))
+    folders = tuple(dict.fromkeys((scenario_file.parent, Path(), CONFIG / "scenarios")))
+    for place, name in enumerate(names):
+        found = next((folder / name for folder in folders if (folder / name).is_file()), None)
+        try:
+            load_plugin(folders[0] / name if found is None else found)
+        except PluginError as error:
+            faults.append(f"plugins.{place} = {name!r}: {error}")
+    return faults
+
+
+def plugin_modules(scenario: Scenario) -> dict[str, ModuleType]:
+    """Return the modules of a scenario's plug-ins, by their names under `plugins`."""
+    return {name: sys.modules[Path(name).stem] for name in scenario.plugins}
