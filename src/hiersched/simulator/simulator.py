@@ -475,7 +475,15 @@ def _view(state: SlotState, constants: SlotConstants) -> View:
         "multiplier": state.multiplier,
         "dexterity_index": state.dexterity_index,
     }
-    shown = {name: values.view() for name, values in arrays.items()}
-    for values in shown.values():
-        values.flags.writeable = False
-    return View(**shown, constants=constants)
+    shown = {name: _read_only(values) for name, values in arrays.items()}
+    return View(**shown, constants=_read_only(constants))
+
+
+def _read_only(value: Any) -> Any:
+    """Return views of arrays, also of those in NamedTuples, through which nothing is written."""
+    if isinstance(value, tuple):
+        return type(value)(*map(_read_only, value))
+    if isinstance(value, np.ndarray):
+        value = value.view()
+        value.flags.writeable = False
+    return value
