@@ -118,10 +118,34 @@ def make_terms():
 
 
 @pytest.fixture(scope="session")
-def schedule(make_terms):
-    """Run one scheduler for one slot; returns the owner of each PRB as a list."""
+def decide_by_hand(smoke_scenario, nominal_gains):
+    """Let a rule decide one handmade slot; returns the simulator after it, and the owners (K,)."""
+    from hiersched.core.pointer import Pointer
+    from hiersched.core.randomness import world_keys
+    from hiersched.policies.index_rules import CAPPED
+    from hiersched.policies.registry import RULES
+    from hiersched.simulator import Simulator
 
-    def run(
+    smoke, made = smoke_scenario, {}
+
+    def of_size(num_urllc, num_users, num_prb):
+        size = num_urllc, num_users, num_prb
+        if size not in made:
+            scenario = replace(
+                smoke,
+                users=replace(smoke.users, num_urllc=num_urllc, num_embb=num_users - num_urllc),
+                radio=replace(smoke.radio, num_prb=num_prb),
+                traffic=replace(smoke.traffic, urllc_offered_mbps=10.0, embb_offered_mbps=10.0),
+            )
+            made[size] = Simulator(scenario, nominal_gains(scenario), world_keys("hand", 1, 1), 1)
+        return made[size]
+
+    def put(pointer, **values):
+        """Put numbers in place of those of a NamedTuple that the kernels see by pointer."""
+        assert all(np.isscalar(getattr(pointer.value, name)) for name in values)
+        pointer.words[:] = Pointer(pointer.value._replace(**values)).words
+
+    def decide(
         name,
         rate,
         *,
@@ -134,42 +158,76 @@ def schedule(make_terms):
         late_share=0.05,
         num_urllc=None,
         need="none",
-        **terms,
+        backlog_packets=0.0,
+        offered_mbps=0.0,
+        rate_sensitivity=0.0,
+        arrival_packets_per_mbps=1.0,
+        service_offset_mbps=0.0,
+        multiplier=0.0,
+        service_packets_per_mbps=1.0,
+        penalty_weight=0.0,
+        epsilon=0.01,
+        delay_exponent_per_mbps=0.16,
+        violation_share=0.05,
     ):
-        from hiersched.policies.rules import (
-            CLASSICAL,
-            NEEDS,
-            SchedulerConstants,
-            schedule_slot,
-            scheduler_scratch,
-        )
-
-        rate = np.ascontiguousarray(rate, np.float32)
+        rate = np.asarray(rate, np.float32)
         num_users, num_prb = rate.shape
-        rules = SchedulerConstants(
-            deadline_s=per_user(deadline_s, num_users),
-            late_share=per_user(late_share, num_users),
-            num_urllc=num_users if num_urllc is None else num_urllc,
-            log_rule_offset=1.1,
-            log_rule_gain=5.0,
-            need=np.full(len(CLASSICAL), NEEDS[need]),
+        num_urllc = num_users if num_urllc is None else num_urllc
+        simulator = of_size(num_urllc, num_users, num_prb)
+        coefficient_mbps = 2.0  # a power of two: halves of the offsets are exact
+        of_urllc = {}
+        for key, value in (("multiplier", multiplier), ("offset", service_offset_mbps)):
+            of_urllc[key] = per_user(value, num_users)
+            assert np.ndim(value) == 0 or not of_urllc[key][num_urllc:].any()
+        state, constants = simulator.state, simulator.constants
+        state.slot[:] = slot
+        state.reported_rate_mbps[0] = rate
+        state.backlog_packets[0] = backlog_packets
+        state.hol_delay_s[0] = hol_delay_s
+        state.average_rate_mbps[0] = average_rate_mbps
+        state.rate_mbps[0] = last_rate_mbps
+        state.dexterity_index[0] = of_urllc["offset"][:num_urllc] / coefficient_mbps
+        constants.deadline_s[:] = deadline_s
+        constants.late_share[:] = late_share
+        constants.offered_mbps[:] = offered_mbps
+        constants.rate_sensitivity[:] = rate_sensitivity
+        constants.arrival_packets_per_mbps[:] = arrival_packets_per_mbps
+        terms = {
+            "service_packets_per_mbps": service_packets_per_mbps,
+            "penalty_weight": penalty_weight,
+            "epsilon": epsilon,
+            "delay_exponent_per_mbps": delay_exponent_per_mbps,
+            "violation_share": violation_share,
+        }
+        put(
+            simulator._constants,
+            **terms,
             slot_s=0.01,
+            service_coefficient_mbps=coefficient_mbps,
         )
-        owner = np.full(num_prb, 10**6, np.uint32)
-        schedule_slot(
-            CLASSICAL[name],
-            slot,
-            rate,
-            per_user(weight, num_users),
-            per_user(hol_delay_s, num_users),
-            per_user(average_rate_mbps, num_users),
-            per_user(last_rate_mbps, num_users),
-            make_terms(num_users, **terms),
-            rules,
-            scheduler_scratch(num_users, num_prb),
-            owner,
+        scratch = simulator._scratch
+        scratch.words[:] = Pointer(
+            scratch.value._replace(terms=scratch.value.terms._replace(**terms))
+        ).words
+        # What no rule writes is no user's.
+        simulator._one.value.fields.prb_owner[:] = 10**6
+        state.need_mbps[:] = state.index_weight[:] = np.nan
+        owner = simulator.decide(
+            RULES[name](need=need) if name in CAPPED else RULES[name](),
+            of_urllc["multiplier"][None, :num_urllc],
+            weights=per_user(weight, num_users)[None],
         )
-        return owner.tolist()
+        return simulator, owner[0]
+
+    return decide
+
+
+@pytest.fixture(scope="session")
+def schedule(decide_by_hand):
+    """Run one scheduler for one slot; returns the owner of each PRB as a list."""
+
+    def run(name, rate, **values):
+        return decide_by_hand(name, rate, **values)[1].tolist()
 
     return run
 

@@ -6,13 +6,12 @@ import itertools
 
 import numpy as np
 import pytest
-from hiersched.policies.rules import CLASSICAL
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import linear_sum_assignment
 
 from hiersched.allocation.assignment import assign_one_each, assignment_scratch
-from hiersched.allocation.in_order import allocate_by_urgency, allocate_in_turn
+from hiersched.allocation.in_order import allocate_by_urgency, allocate_in_turn, order_scratch
 from hiersched.allocation.marginal import (
     UTILITY_LAGRANGIAN,
     UTILITY_LINEAR,
@@ -21,6 +20,7 @@ from hiersched.allocation.marginal import (
     allocation_scratch,
 )
 from hiersched.allocation.objective import user_lagrangian
+from hiersched.policies.index_rules import CLASSICAL
 
 SHAPES = [(1, 1), (1, 7), (2, 3), (5, 5), (8, 10), (20, 25), (25, 25), (80, 100), (3, 40)]
 SIZES = st.integers(1, 8).flatmap(lambda u: st.tuples(st.just(u), st.integers(u, 12)))
@@ -69,8 +69,8 @@ def test_equal_costs_are_assigned():
 
 def allocate(utility, rate, weight, terms):
     owner = np.full(rate.shape[1], 10**6, np.uint32)
-    scratch = allocation_scratch(*rate.shape)
-    allocate_by_utility(utility, rate, weight, terms, scratch, owner)
+    scratch, need = allocation_scratch(*rate.shape), np.full(len(rate), np.nan)  # no need is read
+    allocate_by_utility(utility, 0, rate, weight, need, terms, scratch, owner)
     return owner
 
 
@@ -156,6 +156,7 @@ def test_every_prb_has_one_owner_and_every_user_a_prb(schedule, name, size, seed
     rate = random_rates(seed, *size)
     if ties:
         rate = np.maximum(np.round(rate), np.float32(1))
+    urllc = np.arange(num_users) < (num_users + 1) // 2
     owner = schedule(
         name,
         rate,
@@ -163,9 +164,9 @@ def test_every_prb_has_one_owner_and_every_user_a_prb(schedule, name, size, seed
         weight=np.exp(rng.uniform(-3, 3, num_users)),
         hol_delay_s=rng.choice([0.0, 0.01, 0.3], num_users),
         average_rate_mbps=rng.uniform(1, 30, num_users),
-        num_urllc=(num_users + 1) // 2,
+        num_urllc=urllc.sum(),
         backlog_packets=rng.choice([0.0, 1.5, 80.0], num_users),
-        multiplier=rng.choice([0.0, 3.0], num_users),
+        multiplier=np.where(urllc, rng.choice([0.0, 3.0], num_users), 0.0),
         penalty_weight=100.0,
     )
     assert set(owner) == set(range(num_users))
@@ -203,35 +204,37 @@ def test_equal_weights_are_plain_proportional_fairness(schedule, size, seed):
     assert schedule("pf", rate, weight=np.exp(3.0 * 0.0)) == schedule("pf", rate, weight=4.0)
 
 
-def test_need_is_met_in_the_order_of_urgency():
+def in_order(allocator, make_terms, rate, urgency=0.0, need=0.0, slot=0):
+    """Run one of the allocators that go through the users in an order."""
+    num_users, num_prb = rate.shape
+    urgency, need = (np.array(np.broadcast_to(x, num_users), float) for x in (urgency, need))
+    owner = np.full(num_prb, 10**6, np.uint32)
+    terms, scratch = make_terms(num_users), order_scratch(num_users, num_prb)
+    allocator(0, slot, rate, urgency, need, terms, scratch, owner)
+    return owner.tolist()
+
+
+def test_need_is_met_in_the_order_of_urgency(make_terms):
     """Three users, five PRBs. Order of urgency: 2, 0, 1, with one PRB each first.
 
     User 2 takes its best, PRB 0 (9); user 0 PRB 1 (8), user 1 PRB 3 (5). User 2 needs 12: PRB 4 (4)
     brings 13. User 0 needs 20 and takes PRB 2 (1).
     """
     rate = np.array([[2, 8, 1, 3, 2], [1, 4, 3, 5, 1], [9, 7, 2, 3, 4]], np.float32)
-    owner = np.zeros(5, np.uint32)
-    scratch = allocation_scratch(3, 5)
-    need = np.array([20.0, 0.0, 12.0])
-    scratch.need[:] = need
-    allocate_by_urgency(rate, np.array([1.0, 0.0, 2.0]), scratch, owner)
-    assert owner.tolist() == [2, 0, 0, 1, 2]
+    given = {"urgency": [1.0, 0.0, 2.0], "need": [20.0, 0.0, 12.0]}
+    assert in_order(allocate_by_urgency, make_terms, rate, **given) == [2, 0, 0, 1, 2]
 
 
-def test_what_nobody_needs_goes_around_in_the_same_order():
+def test_what_nobody_needs_goes_around_in_the_same_order(make_terms):
     rate = np.array([[5, 4, 3, 2, 1], [1, 2, 3, 4, 5]], np.float32)
-    owner = np.zeros(5, np.uint32)
-    allocate_by_urgency(rate, np.array([0.0, 1.0]), allocation_scratch(2, 5), owner)
     # User 1 first: PRB 4; user 0: PRB 0; then 1: PRB 3, 0: PRB 1, 1: PRB 2.
-    assert owner.tolist() == [0, 0, 1, 1, 1]
+    got = in_order(allocate_by_urgency, make_terms, rate, urgency=[0.0, 1.0])
+    assert got == [0, 0, 1, 1, 1]
 
 
-def test_turns_go_on_where_the_last_slot_stopped():
-    owner = np.zeros(4, np.uint32)
-    rows = []
-    for slot in range(3):
-        allocate_in_turn(slot, 3, 4, owner)
-        rows.append(owner.tolist())
+def test_turns_go_on_where_the_last_slot_stopped(make_terms):
+    rate = np.ones((3, 4), np.float32)
+    rows = [in_order(allocate_in_turn, make_terms, rate, slot=slot) for slot in range(3)]
     assert rows == [[0, 1, 2, 0], [1, 2, 0, 1], [2, 0, 1, 2]]
 
 

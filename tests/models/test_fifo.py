@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from fractions import Fraction
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -12,19 +13,8 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from hiersched.core.compiled import kernel
-from hiersched.models.queue.fifo import (
-    AFTER,
-    ARRIVALS,
-    BACKLOG,
-    DUE,
-    HOL_DELAY,
-    LATE,
-    NUM_QUEUE_LANES,
-    SERVICE,
-    SOJOURN,
-    serve_users,
-    set_deadline,
-)
+from hiersched.core.pointer import Pointer
+from hiersched.models.queue.fifo import FifoWords, serve, serve_user
 
 # Quarters and eighths: exact in doubles, so that the twin's fractions must agree to the bit.
 COUNTS = st.integers(0, 6)
@@ -35,25 +25,62 @@ DEADLINES = st.integers(1, 24).map(lambda quarters: quarters / 4)
 
 def library(slots, deadline_slots):
     """Run the library's queue; one (backlog, sojourn, hol, due, late) a slot."""
-    return library_users([slots], [deadline_slots])[0]
+    arrived, head, backlog, rows = np.zeros(len(slots) + 1), 0, 0.0, []
+    for slot, (arrivals, service) in enumerate(slots):
+        *row, head = serve_user(
+            slot, backlog, float(arrivals), float(service), float(deadline_slots), head, arrived
+        )
+        backlog = row[0]
+        rows.append(tuple(row))
+    return rows
+
+
+class Constants(NamedTuple):
+    deadline_slots: Any
+    slot_s: float
+
+
+class State(NamedTuple):
+    slot: Any
+    backlog_packets: Any
+    hol_delay_s: Any
+
+
+class Slot(NamedTuple):
+    rate_mbps: Any
+    arrivals_packets: Any
+    service_packets: Any
+    delay_s: Any
+    due_packets: Any
+    late_packets: Any
+
+
+@kernel()
+def serve_world(me, constants, state, slot, env):
+    serve(me, constants, state, slot, env)
 
 
 def library_users(users, deadlines):
-    """The same for users side by side, who all have as many slots."""
+    """The same for users side by side in a world beside another, who all have as many slots."""
     count, num_slots = len(users), len(users[0])
-    arrived, head = np.zeros((num_slots + 1, count)), np.zeros(count, np.int64)
-    lanes = np.zeros(NUM_QUEUE_LANES)
-    for user, deadline_slots in enumerate(deadlines):
-        set_deadline(lanes, user, deadline_slots)
+    words = FifoWords(np.zeros((2, num_slots + 1, count)), np.zeros((2, count), np.int64))
+    state = State(np.zeros(2, np.int64), np.zeros((2, count)), np.zeros((2, count)))
+    of_user, whole = np.zeros(count), np.zeros(count, np.uint32)
+    slot = Slot(of_user, whole, of_user.copy(), of_user.copy(), whole.copy(), whole.copy())
+    constants = Constants(np.array(deadlines, float), 1.0)
+    pointers = [Pointer(part) for part in (words, constants, state, slot)]
     rows = [[] for _ in users]
-    for slot in range(num_slots):
+    for now in range(num_slots):
+        state.slot[1] = now
         for user, slots in enumerate(users):
-            lanes[ARRIVALS + user], lanes[SERVICE + user] = slots[slot]
-        serve_users(slot, count, lanes, arrived, head)
-        lanes[BACKLOG : BACKLOG + count] = lanes[AFTER : AFTER + count]
+            slot.arrivals_packets[user], slot.service_packets[user] = slots[now]
+        serve_world(*pointers, 1)
+        of_slot = (state.backlog_packets[1], slot.delay_s, state.hol_delay_s[1])
         for user in range(count):
-            fields = (AFTER, SOJOURN, HOL_DELAY, DUE, LATE)
-            rows[user].append(tuple(lanes[field + user] for field in fields))
+            fields = (*of_slot, slot.due_packets, slot.late_packets)
+            rows[user].append(tuple(field[user] for field in fields))
+    for part in (*words, state.backlog_packets, state.hol_delay_s):
+        assert not part[0].any()  # the other world
     return rows
 
 
@@ -138,13 +165,13 @@ def test_users_side_by_side_do_not_touch_each_other(users):
 
 
 @kernel()
-def long_run(arrivals, lanes, arrived, head, backlogs, sojourns):
+def long_run(arrivals, service, deadline_slots, arrived, backlogs, sojourns):
+    backlog, head = 0.0, 0
     for slot in range(arrivals.shape[0]):
-        backlogs[slot] = lanes[AFTER]
-        lanes[BACKLOG] = lanes[AFTER]
-        lanes[ARRIVALS] = arrivals[slot]
-        serve_users(slot, 1, lanes, arrived, head)
-        sojourns[slot] = lanes[SOJOURN]
+        backlogs[slot] = backlog
+        backlog, sojourns[slot], _, _, _, head = serve_user(
+            slot, backlog, arrivals[slot], service, deadline_slots, head, arrived
+        )
 
 
 @pytest.mark.parametrize(("load", "batch"), [(0.5, 1), (0.8, 1), (0.8, 4)])
@@ -160,10 +187,7 @@ def test_unit_service_has_its_closed_mean(load, batch):
     backlogs, sojourns = np.empty(slots), np.empty(slots)
     uniform = np.random.default_rng(5).uniform(size=slots)
     arrivals = batch * stats.poisson.ppf(uniform, load / batch)
-    lanes = np.zeros(NUM_QUEUE_LANES)
-    lanes[SERVICE] = 1.0
-    set_deadline(lanes, 0, 2.0)
-    long_run(arrivals, lanes, np.zeros((slots + 1, 1)), np.zeros(1, np.int64), backlogs, sojourns)
+    long_run(arrivals, 1.0, 2.0, np.zeros(slots + 1), backlogs, sojourns)
     expected = (load**2 + (batch - 1) * load) / (2 * (1 - load))
     means = backlogs.reshape(40, -1).mean(axis=1)
     error = means.std(ddof=1) / np.sqrt(40)

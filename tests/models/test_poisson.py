@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hiersched.models.queue.fifo import LANES
 from hiersched.models.traffic.poisson import (
+    LANES,
     MAX_MEAN,
     MEAN,
     NUM_ARRIVAL_LANES,

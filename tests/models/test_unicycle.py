@@ -10,7 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hiersched.control import hold_delays
+from hiersched.core.compiled import kernel
+from hiersched.core.pointer import Pointer
+from hiersched.core.randomness import normal_scratch
 from hiersched.models.plant.error_model import discretise, unicycle_error_model
+from hiersched.models.plant.feedback import LoopConstants, hold_entry, loop_memory
 from hiersched.models.plant.reference import PathShape, driven_table, reference_table
 from hiersched.models.plant.unicycle import (
     CONTROL,
@@ -21,13 +25,10 @@ from hiersched.models.plant.unicycle import (
     SLOT_SQUARE,
     STATE,
     WINDOW_SUMS,
-    RobotConstants,
-    close_loop,
-    gather_path,
-    hold_entry,
-    move_lanes,
-    path_scratch,
-    robot_state,
+    UnicycleWords,
+    _close_loop,
+    _gather_path,
+    _move_lanes,
 )
 
 LAG_S = 0.1
@@ -51,17 +52,41 @@ def constants(reference="straight", *, step_s=0.0025, speed_mps=1.0, noise=0.0, 
         table, offset = reference_table(reference, SHAPE, speed_mps, step_s, 4000, 1)
     decay = math.exp(-step_s / LAG_S)
     zeros = np.zeros((max_delay + 1, 2, 5))
-    return RobotConstants(
-        step_s=step_s, steps_per_slot=4, steps_per_sample=8, steps_per_window=400, sampling_s=0.02,
+    words = UnicycleWords(
+        step_s=step_s, steps_per_slot=4, steps_per_sample=8, steps_per_window=400,
         lag_decay=decay, lag_mean=(1 - decay) * LAG_S / step_s, slip_decay=0.9, slip_gain_mps=0.0,
         slip_gain_radps=0.0, noise_position_m=noise, noise_heading_rad=2 * noise,
-        max_speed_mps=limit[0], max_turn_rate_radps=limit[1], core_latency_s=0.005,
-        max_delay_steps=max_delay, local_gain=zeros if local is None else local,
+        max_speed_mps=limit[0], max_turn_rate_radps=limit[1],
+        path=table.rows(), pose=table.pose, offset=offset, lanes=np.zeros((1, 1, 18 * LANES)),
+        memory=loop_memory(1, 1, 200, max_delay, 5, 2), normals=normal_scratch(1),
+        gathered=np.zeros(4 * NUM_PATH * LANES),
+    )  # fmt: skip
+    loop = LoopConstants(
+        sampling_s=0.02, core_latency_s=0.005, max_delay_steps=max_delay,
+        local_gain=zeros if local is None else local,
         network_gain=zeros if network is None else network, has_memory=inputs is not None,
         input_gain=np.zeros((max_delay + 1, max_delay, 2, 2)) if inputs is None else inputs,
         hold_samples=0, adjusted_delay_steps=np.zeros(max_delay + 1, np.uint32),
-        path=table.rows(), pose=table.pose, offset=offset,
     )  # fmt: skip
+    return words, loop
+
+
+# The kernels within the slot loop have no entry for Python.
+@kernel()
+def gather_path(path, place, steps, lane, gathered):
+    _gather_path(path, place, steps, lane, gathered)
+
+
+@kernel()
+def move_lanes(step_s, lag_mean, lag_decay, path, lanes):
+    _move_lanes(step_s, lag_mean, lag_decay, path, lanes)
+
+
+@kernel()
+def close_loop(me, loop, sample, delay_steps, entry):
+    """Close the loop of the first robot."""
+    memory = me.memory.history[0, 0], me.memory.commands[0, 0]
+    return _close_loop(me, loop, sample, delay_steps, entry, 0, me.lanes[0, 0], memory)
 
 
 def put(lanes, field, values, lane):
@@ -78,10 +103,10 @@ def move(robot, state, control, slip=(0.0, 0.0), steps=1, place=0, lane=3):
 
 
 def move_in_lane(robot, state, control, slip, steps, place, lane):
-    lanes = robot_state(1, LANES, 3, 200, 0.7, 0.0).lanes[0, 0]
+    lanes = np.zeros_like(robot.lanes[0, 0])
     for field, values in ((STATE, state), (CONTROL, control), (SLIP, slip)):
         put(lanes, field, values, lane)
-    path = path_scratch(steps)
+    path = np.zeros(steps * NUM_PATH * LANES)
     gather_path(robot.path, place, steps, lane, path)
     for step in path.reshape(steps, NUM_PATH * LANES):
         move_lanes(robot.step_s, robot.lag_mean, robot.lag_decay, step, lanes)
@@ -92,7 +117,7 @@ def move_in_lane(robot, state, control, slip, steps, place, lane):
 def test_first_order_is_the_discretised_plant(speed_mps):
     """Jacobian of one sample (8 steps) against A, B: what the gains are designed for."""
     A, B = discretise(*unicycle_error_model(speed_mps, 0.0, LAG_S), 0.02)
-    robot, d = constants(speed_mps=speed_mps), 1e-5
+    robot, d = constants(speed_mps=speed_mps)[0], 1e-5
     for j in range(5):
         x = d * np.eye(5)[j]
         column = (move(robot, x, (0, 0), steps=8) - move(robot, -x, (0, 0), steps=8)) / (2 * d)
@@ -107,7 +132,7 @@ def test_first_order_is_the_discretised_plant(speed_mps):
 @pytest.mark.parametrize("reference", ["straight", "arc", "figure_eight", "zigzag", "file"])
 def test_without_slip_a_robot_stays_on_its_reference(reference):
     """Open loop for 10 s: the midpoint rule drifts by v T (ω Δt)² / 24, 0.04 mm on the zig-zag."""
-    robot = constants(reference)
+    robot, _ = constants(reference)
     end = move(robot, np.zeros(5), (0.0, 0.0), steps=4000)
     drift_m = 10.0 * (np.abs(robot.path[:, 0]).max() * robot.step_s) ** 2 / 24
     assert np.hypot(*end[:2]) <= drift_m + 1e-12
@@ -118,7 +143,7 @@ def test_without_slip_a_robot_stays_on_its_reference(reference):
 def test_motion_is_that_of_the_unicycle_in_the_world(reference):
     """Integrate x' = v cos θ, y' = v sin θ, θ' = ω in the world, then change the frame."""
     start, control, slip = np.array([0.1, -0.2, 0.6, 0.3, -0.5]), (0.4, 1.1), (0.05, -0.2)
-    robot, steps = constants(reference, speed_mps=0.9), 200
+    robot, steps = constants(reference, speed_mps=0.9)[0], 200
     pose = robot.pose
 
     def rate(z, reference_speed, turn):
@@ -149,7 +174,7 @@ def test_motion_is_that_of_the_unicycle_in_the_world(reference):
 def test_halving_the_step_quarters_the_error():
     start, control = np.array([0.1, -0.2, 0.6, 0.3, -0.5]), (0.4, 1.1)
     ends = [
-        move(constants("arc", step_s=0.02 / n), start, control, steps=10 * n) for n in (2, 4, 64)
+        move(constants("arc", step_s=0.02 / n)[0], start, control, steps=10 * n) for n in (2, 4, 64)
     ]
     coarse, fine = (np.abs(end - ends[2]).max() for end in ends[:2])
     assert 3.5 < coarse / fine < 4.5
@@ -157,7 +182,7 @@ def test_halving_the_step_quarters_the_error():
 
 def test_window_sums_by_hand():
     """Slip alone, straight: v = 1.5, ω = 0.3, so |ω| / |v| = 0.2; at v = 0.01 it is 0.3 / 0.05."""
-    robot = constants()
+    robot, _ = constants()
     lanes = move_in_lane(robot, np.zeros(5), np.zeros(2), (0.5, 0.3), 1, 0, 5)
     state, sums = take(lanes, STATE, 5, 5), take(lanes, WINDOW_SUMS, 3, 5)
     assert take(lanes, SLOT_SQUARE, 1, 5) == state[0] ** 2 + state[1] ** 2 == sums[0]
@@ -172,11 +197,10 @@ def random_gains(seed, max_delay=3, size=1.0):
     return size * np.random.default_rng(seed).normal(size=(2, max_delay + 1, 2, 5))
 
 
-def close(robot, sample, delay, states, entry=None):
-    """Close the loop of the first robot, by default with the gains of its delay."""
-    of_robot = states.history[0, 0], states.commands[0, 0]
-    entry = delay if entry is None else entry
-    return close_loop(robot, sample, delay, entry, 0, states.lanes[0, 0], *of_robot)
+def close(robot, loop, sample, delay):
+    """Close the loop of the robot with the gains of its delay: commands, and 1 at a limit."""
+    saturated = close_loop(Pointer(robot), Pointer(loop), sample, delay, delay)
+    return take(robot.lanes[0, 0], CONTROL, 2, 0), saturated
 
 
 @given(st.lists(st.integers(0, 3), min_size=8, max_size=20), st.integers(0, 100))
@@ -184,15 +208,13 @@ def test_command_is_the_delayed_feedback_with_the_gain_of_its_delay(delays, seed
     """u(k) = −K_local[T] y(k) − K_network[T] y(k − T), y the noisy measurement, y = 0 before 0."""
     rng = np.random.default_rng(seed)
     local, network = random_gains(seed, size=0.05)
-    robot = constants(local=local, network=network, noise=0.01)
-    states = robot_state(1, 1, 3, 200, 0.7, 0.0)
+    robot, loop = constants(local=local, network=network, noise=0.01)
     measured = {k: np.zeros(5) for k in range(-3, 0)}
     for k, delay in enumerate(delays):
         x, normals = rng.normal(size=5), rng.normal(size=5).astype(np.float32)
-        put(states.lanes[0, 0], STATE, x, 0)
-        put(states.lanes[0, 0], NORMALS, normals, 0)
-        saturated = close(robot, k, delay, states)
-        control = states.field(CONTROL, 2)[0, 0]
+        put(robot.lanes[0, 0], STATE, x, 0)
+        put(robot.lanes[0, 0], NORMALS, normals, 0)
+        control, saturated = close(robot, loop, k, delay)
         noise = np.array([0.01, 0.01, 0.02, 0.0, 0.0]) * [*normals[2:].astype(float), 0.0, 0.0]
         measured[k] = x + noise
         expected = -local[delay] @ measured[k] - network[delay] @ measured[k - delay]
@@ -207,18 +229,17 @@ def test_gains_with_memory_see_the_commands_that_were_applied(delays, seed):
     rng = np.random.default_rng(seed)
     local, network = random_gains(seed)
     inputs, limit = rng.normal(size=(4, 3, 2, 2)), np.array([0.5, 3.0])
-    robot = constants(local=local, network=network, inputs=inputs, limit=tuple(limit))
-    states = robot_state(1, 1, 3, 200, 0.7, 0.0)
+    robot, loop = constants(local=local, network=network, inputs=inputs, limit=tuple(limit))
     measured = {k: np.zeros(5) for k in range(-3, 0)}
     applied = {k: np.zeros(2) for k in range(-4, 0)}
     for k, T in enumerate(delays):
         measured[k] = rng.normal(size=5) * 0.3
-        put(states.lanes[0, 0], STATE, measured[k], 0)
-        saturated = close(robot, k, T, states)
+        put(robot.lanes[0, 0], STATE, measured[k], 0)
+        control, saturated = close(robot, loop, k, T)
         wanted = -network[T] @ measured[k - T] - local[T] @ measured[k]
         wanted -= sum(inputs[T, i] @ applied[k - 1 - i] for i in range(3))
         applied[k] = np.clip(wanted, -limit, limit)
-        np.testing.assert_allclose(states.field(CONTROL, 2)[0, 0], applied[k], atol=1e-12)
+        np.testing.assert_allclose(control, applied[k], atol=1e-12)
         assert saturated == (np.abs(wanted) > limit).any()
 
 
@@ -232,14 +253,13 @@ def test_entries_are_held_as_the_control_library_says(delays, hold_samples):
 def test_commands_stop_at_their_limits_and_say_so():
     network = np.zeros((4, 2, 5))
     network[0, 0, 0] = network[0, 1, 1] = 1.0
-    robot = constants(network=network, limit=(0.5, 3.0))
-    states = robot_state(1, 1, 3, 200, 0.7, 0.0)
-    for x, control, saturated in [
+    robot, loop = constants(network=network, limit=(0.5, 3.0))
+    for x, expected, saturated in [
         ([0.4, -2.0], [-0.4, 2.0], 0),
         ([0.6, 0.0], [-0.5, 0.0], 1),
         ([-0.6, 4.0], [0.5, -3.0], 1),
         ([0.5, 3.0], [-0.5, -3.0], 0),
     ]:
-        put(states.lanes[0, 0], STATE, x, 0)
-        got = close(robot, 0, 0, states)
-        assert (states.field(CONTROL, 2)[0, 0].tolist(), got) == (control, saturated)
+        put(robot.lanes[0, 0], STATE, x, 0)
+        control, got = close(robot, loop, 0, 0)
+        assert (control.tolist(), got) == (expected, saturated)

@@ -5,28 +5,31 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from hiersched.policies.rules import (
-    CLASSICAL,
-    SchedulerConstants,
-    index_weights,
-    need_codes,
-)
+import pytest
 
 # User 0 has the better channel, user 1 its best on PRB 1.
 RATE = [[9, 8, 7], [1, 3, 2.5]]
 
 
-def weights(name, *, backlog=1.0, hol=0.0, average=10.0, deadline=0.02, late=0.05, num_urllc=2,
-            num_users=2):  # fmt: skip
-    def full(value):
-        return np.broadcast_to(np.asarray(value, np.float64), (num_users,)).copy()
+@pytest.fixture(scope="session")
+def weights(decide_by_hand):
+    """Weights of a rule's users."""
 
-    rules = SchedulerConstants(
-        full(deadline), full(late), num_urllc, 1.1, 5.0, need_codes({}), 0.01
-    )
-    out = np.zeros(num_users)
-    index_weights(CLASSICAL[name], full(backlog), full(hol), full(average), rules, out)
-    return out
+    def of(name, *, backlog=1.0, hol=0.0, average=10.0, deadline=0.02, late=0.05, num_urllc=2,
+           num_users=2):  # fmt: skip
+        simulator, _ = decide_by_hand(
+            name,
+            np.ones((num_users, num_users)),
+            backlog_packets=backlog,
+            hol_delay_s=hol,
+            average_rate_mbps=average,
+            deadline_s=deadline,
+            late_share=late,
+            num_urllc=num_urllc,
+        )
+        return simulator.state.index_weight[0].copy()
+
+    return of
 
 
 def test_pf(schedule):
@@ -72,7 +75,7 @@ def test_round_robin(schedule):
     ]
 
 
-def test_max_weight(schedule):
+def test_max_weight(schedule, weights):
     """Queue times rate, whatever the delays: F = 1, 5 gives [9 8 7], [5 15 12.5]."""
     waits = [0.3, 0.001]
     assert schedule("max_weight", RATE, backlog_packets=[1.0, 5.0], hol_delay_s=waits) == [0, 1, 1]
@@ -83,7 +86,7 @@ def test_max_weight(schedule):
     assert schedule("max_weight", RATE, **given) == [0, 1, 0]
 
 
-def test_m_lwdf(schedule):
+def test_m_lwdf(schedule, weights):
     """−log10(δ)/D · W/R: 2/0.02 · 0.001/10 = 0.01 and 1/0.1 · 0.04/10 = 0.04.
 
     Times rate [.09 .08 .07], [.04 .12 .10]: PRB 2 goes to user 1. Ten times user 0's wait: 0.1, and
@@ -96,7 +99,7 @@ def test_m_lwdf(schedule):
     np.testing.assert_allclose(got, [0.01, 0.04], rtol=1e-14)
 
 
-def test_exp_pf(schedule):
+def test_exp_pf(schedule, weights):
     """Two URLLC users and one eMBB user, δ = 0.01: a = 2/0.02 = 100 and 2/0.04 = 50.
 
     W = 20 ms: a W = 2 and 1, mean 1.5, exponents ±0.5/(1 + √1.5) = ±0.22474. R = 10, 10, 20. The
@@ -125,13 +128,13 @@ def test_exp_pf(schedule):
         assert owner.count(winner) == 2
 
 
-def test_exp_pf_is_finite_after_a_long_wait():
+def test_exp_pf_is_finite_after_a_long_wait(weights):
     got = weights("exp_pf", hol=[1e5, 0.0, 0.0], num_urllc=2, num_users=3)
     assert np.isfinite(got).all()
     assert got.argmax() == 0
 
 
-def test_log_rule(schedule):
+def test_log_rule(schedule, weights):
     """log(1.1 + 5 W/D) / R: W = 0 gives log 1.1 = 0.0953, W = D log 6.1 = 1.808 (R = 10).
 
     Times rate [.086 .076 .067], [.18 .54 .45]; the other way round user 0 wins everything free.

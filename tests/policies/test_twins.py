@@ -6,8 +6,10 @@ import math
 
 import numpy as np
 import pytest
-from hiersched.policies.rules import CAPPED, CLASSICAL, NEEDS
 from scipy.optimize import linear_sum_assignment
+
+from hiersched.policies.index_rules import CAPPED, CLASSICAL
+from hiersched.policies.needs import NEEDS
 
 U, R, K = 7, 4, 12  # users, URLLC users among them, PRBs
 

@@ -5,9 +5,9 @@ from typing import get_args, get_type_hints
 
 import pytest
 import yaml
-from hiersched.policies.rules import CLASSICAL
 
 from hiersched.models.model import SECTIONS
+from hiersched.policies.index_rules import CLASSICAL
 from hiersched.scenario import (
     Scenario,
     ScenarioError,

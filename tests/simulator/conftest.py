@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from hiersched.core.randomness import world_keys
+from hiersched.models.plant.unicycle import LANES
 from hiersched.simulator import Simulator
 
 
@@ -47,3 +48,21 @@ def assert_same_bits():
             assert one.tobytes() == other.tobytes(), name
 
     return check
+
+
+@pytest.fixture(scope="session")
+def of_robots():
+    """Copy a field of all unicycles of a simulator, such as STATE with 5 values: (E, R, count)."""
+
+    def read(simulator, start, count):
+        words = simulator.words["plant"]
+        robots = [divmod(robot, LANES) for robot in range(len(words.offset))]
+        return np.stack(
+            [
+                words.lanes[:, block, start + lane : start + count * LANES : LANES]
+                for block, lane in robots
+            ],
+            axis=1,
+        )
+
+    return read

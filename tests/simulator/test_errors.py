@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hiersched.core.randomness import world_keys
+from hiersched.policies.policy import LoggedDecisions
 from hiersched.simulator.loop_gains import LoopGains
 
 
@@ -96,7 +97,7 @@ def test_owners_must_be_an_allocation(make_simulator):
         (np.where(good == 0, simulator.scenario.num_users, good), "every user"),
     ):
         with pytest.raises(ValueError, match=message):
-            simulator.run_owners(bad)
+            simulator.run(LoggedDecisions(bad))
     beyond = np.repeat(good, 2, axis=1)
     with pytest.raises(ValueError, match="num_slots"):
-        simulator.run_owners(beyond)
+        simulator.run(LoggedDecisions(beyond))

@@ -64,7 +64,7 @@ def test_a_predictor_undoes_the_delay(make_simulator, smoke_scenario):
     robot = {**STILL, **FREE, "reference": "straight"}
     simulator = make_simulator(1, 80, gains=gains, robot=robot, control=unheld)
     start = 1e-5 * np.array([1.0, -2.0, 1.5, 0.0, 0.0])
-    simulator.state.robots.set_state(start)
+    simulator.words["plant"].set_state(start)
     delay_s = 0.02 * np.repeat(np.random.default_rng(6).integers(0, 13, (1, 40, 4)), 2, axis=1)
     record = simulator.run_robots(delay_s)
     for robot_index in range(4):
@@ -196,12 +196,12 @@ def growth(make_simulator, delay_steps, num_slots=800):
     """Factor a sample of the error of a disturbed robot, and the lifted linear system's radius."""
     robot = {**STILL, **FREE, "reference": "straight"}
     simulator = make_simulator(1, num_slots, robot=robot, control={"weight": 700.0})
-    simulator.state.robots.set_state(1e-9 * np.array([1.0, 1.0, 1.0, 0.0, 0.0]))
+    simulator.words["plant"].set_state(1e-9 * np.array([1.0, 1.0, 1.0, 0.0, 0.0]))
     record = simulator.run_robots(forced(delay_steps * 0.02, 1, num_slots))
     size = np.abs(record.state[0, :, 0]).max(axis=-1)
     factor = (size[-100:].max() / size[200:300].max()) ** (2 / (num_slots - 300))
     plant = plant_of(simulator.scenario)
-    K = simulator.constants.robots.network_gain[delay_steps]
+    K = simulator.constants.loop.network_gain[delay_steps]
     lifted = np.eye(5 * (delay_steps + 1), k=-5)
     lifted[:5, :5] = plant.A
     lifted[:5, -5:] -= plant.B @ K
@@ -218,13 +218,13 @@ def test_nominal_loop_is_stable_at_three_samples_and_unstable_at_four(make_simul
             assert factor == pytest.approx(radius, abs=2e-3)
 
 
-def test_index_of_a_window_is_that_of_its_steps(make_simulator):
+def test_index_of_a_window_is_that_of_its_steps(make_simulator, of_robots):
     """Slots of one step, so that the record has every step; one window of 400."""
     simulator = make_simulator(1, 401, robot=STILL, radio={"slot_s": 0.0025})
-    simulator.state.robots.set_state(np.array([0.03, -0.05, 0.2, 0.0, 0.1]))
-    start = simulator.state.robots.field(STATE, 5)[0]
+    simulator.words["plant"].set_state(np.array([0.03, -0.05, 0.2, 0.0, 0.1]))
+    start = of_robots(simulator, STATE, 5)[0]
     record = simulator.run_robots(forced(0.02, 1, 401))
-    robots = simulator.constants.robots
+    lag_mean = simulator.words["plant"].lag_mean
     first = simulator.scenario.robot.initial_dexterity_index
     np.testing.assert_array_equal(record.dexterity_index[0, :400], first)
     state, control, reference = (
@@ -232,7 +232,7 @@ def test_index_of_a_window_is_that_of_its_steps(make_simulator):
     )
     # Mean speed over a step: the lag decays from the speed before it towards the command.
     before = np.concatenate([start[None], state[:-1]])[..., 3:]
-    speed = reference[..., 3:] + control + (before - control) * robots.lag_mean
+    speed = reference[..., 3:] + control + (before - control) * lag_mean
     te_cm = 100 * np.sqrt((state[..., :2] ** 2).sum(axis=-1).mean(axis=0))
     oe_deg = np.degrees(np.abs(state[..., 2]).mean(axis=0))
     curvature = (np.abs(speed[..., 1]) / np.maximum(np.abs(speed[..., 0]), 0.05)).mean(axis=0)
@@ -242,13 +242,13 @@ def test_index_of_a_window_is_that_of_its_steps(make_simulator):
     np.testing.assert_allclose(record.dexterity_index[0, 400], expected, rtol=1e-12)
 
 
-def test_slip_and_noise_have_their_spread(make_simulator):
+def test_slip_and_noise_have_their_spread(make_simulator, of_robots):
     """Ornstein–Uhlenbeck: standard deviation 0.05 m/s and 0.2 rad/s, correlation e^(−τ/0.3)."""
     simulator = make_simulator(50, 400, robot=FREE)
     slips = []
     for _ in range(400):
         simulator.run_robots(forced(0.02, 50, 1))
-        slips.append(simulator.state.robots.field(SLIP, 2))
+        slips.append(of_robots(simulator, SLIP, 2))
     slip = np.array(slips)[150:]  # (T, E, R, 2)
     np.testing.assert_allclose(slip.std(axis=(0, 1, 2)), [0.05, 0.2], rtol=0.05)
     for lag in (1, 30):
@@ -276,7 +276,7 @@ def test_robots_of_all_blocks_move_alike(make_simulator):
         "traffic": {"urllc_offered_mbps": 15.0},
     }
     simulator = make_simulator(1, 150, robot={**STILL, "reference": "straight"}, **many)
-    simulator.state.robots.set_state(np.array([0.03, -0.05, 0.2, 0.0, 0.1]))
+    simulator.words["plant"].set_state(np.array([0.03, -0.05, 0.2, 0.0, 0.1]))
     record = simulator.run_robots(forced(0.05, 1, 150, robots=18))
     for name in ("state", "control", "tracking_error_m", "dexterity_index", "gain_delay_steps"):
         values = getattr(record, name)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hiersched.policies.rules import CLASSICAL
 
 from hiersched.core.randomness import STREAM_ARRIVAL, draw_exponentials, draw_uniforms, world_keys
 from hiersched.models.channel.path_loss import Macro
 from hiersched.models.channel.rayleigh import Rayleigh
+from hiersched.policies.index_rules import CLASSICAL
+from hiersched.policies.policy import LoggedDecisions
 from hiersched.simulator.record import SlotRecord
 
 WORLD = ("fading_power", "mean_fading_power", "arrival_uniform", "robot_normal")
@@ -124,7 +125,7 @@ def test_equal_weights_are_pf(make_simulator, assert_same_bits):
 @pytest.mark.parametrize("policy", ["edf", "pf"])
 def test_given_owners_are_the_policy_that_chose_them(make_simulator, assert_same_bits, policy):
     original = make_simulator().run(policy)
-    assert_same_bits(make_simulator().run_owners(original.prb_owner), original)
+    assert_same_bits(make_simulator().run(LoggedDecisions(original.prb_owner)), original)
 
 
 def test_robots_alone_leave_nothing_of_the_network(make_simulator):

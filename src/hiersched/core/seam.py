@@ -12,11 +12,13 @@ there, and changes no kernel's form.
 
 from __future__ import annotations
 
+import ast
 import hashlib
+import importlib.util
 import inspect
 import sys
 import sysconfig
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -56,6 +58,7 @@ class Seam:
     def __init__(self, name: str, *, reads: str, writes: str) -> None:
         self.name, self.reads, self.writes = name, reads, writes
         self._kernels: dict[type, Any] = {}
+        self._sources: dict[type, str] = {}
 
     def kernel(self, words: type) -> Callable[[Callable[..., Any]], Any]:
         """Register the decorated function as the kernel of a NamedTuple class.
@@ -74,6 +77,8 @@ class Seam:
                     f"{self.name} must be {function.__qualname__}({', '.join(FORM)})"
                 )
             self._kernels[words] = inner_kernel()(function)
+            # Now, not when it is compiled: a file may have been edited by then.
+            self._sources[words] = _outside_sources(function)
             return self._kernels[words]
 
         return register
@@ -100,7 +105,7 @@ class Seam:
         if not self.fits(words):
             raise TypeError(f"{type(words).__name__} has no kernel for the seam {self.name}")
         function = self._kernels[type(words)]
-        me = Pointer(words, _outside_sources(function.py_func))
+        me = Pointer(words, self._sources[type(words)])
         kinds = (me.kind, *(argument.kind for argument in arguments), types.int64)
         return Plug(address_of(function, kinds), me.address), me
 
@@ -166,18 +171,43 @@ def outside_files(module: ModuleType) -> set[str]:
     waiting = [module]
     while waiting:
         file = getattr(waiting[-1], "__file__", None)
-        values = vars(waiting.pop()).values()
+        used = waiting.pop()
         if file is None or file in found or not _is_outside(Path(file).resolve()):
             continue
         found.add(file)
-        for value in values:
-            name = value.__name__ if isinstance(value, ModuleType) else _module_of(value)
-            if name in sys.modules:
-                waiting.append(sys.modules[name])
+        names = {_module_of(value) for value in vars(used).values()}
+        names.update(_imports(used, Path(file)))
+        waiting.extend(sys.modules[name] for name in names if name in sys.modules)
     return found
 
 
+def _imports(module: ModuleType, file: Path) -> Iterator[str]:
+    """Names that a module imports: a number taken from another module does not say whose it is."""
+    if file.suffix != ".py":
+        return
+    for node in ast.walk(ast.parse(file.read_bytes(), filename=str(file))):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield from _with_parents(alias.name)
+        elif isinstance(node, ast.ImportFrom):
+            name = node.module or ""
+            if node.level and not module.__package__:
+                continue  # it would raise
+            if node.level:
+                name = importlib.util.resolve_name("." * node.level + name, module.__package__)
+            yield from _with_parents(name)
+            yield from (f"{name}.{alias.name}" for alias in node.names)
+
+
+def _with_parents(name: str) -> Iterator[str]:
+    """Return a.b and a for a.b: to import a module runs the packages that it lies in."""
+    parts = name.split(".")
+    return (".".join(parts[:count]) for count in range(1, len(parts) + 1))
+
+
 def _module_of(value: Any) -> str:
+    if isinstance(value, ModuleType):
+        return value.__name__
     name = getattr(getattr(value, "py_func", value), "__module__", None)
     return name if isinstance(name, str) else ""
 

@@ -381,16 +381,27 @@ class Simulator:
         return features
 
     def decide(
-        self, policy: Rule | Weigher, multipliers: NDArray[np.float64] | None = None
+        self,
+        policy: Rule | Weigher,
+        multipliers: NDArray[np.float64] | None = None,
+        *,
+        weights: NDArray[np.float64] | None = None,
     ) -> NDArray[np.uint32]:
-        """Say what a compiled policy would do in the present state, which stays as it is.
+        """Say what a compiled policy would do in the present state, which does not move on.
+
+        Parameters
+        ----------
+        policy
+            A rule, or weights of one.
+        multipliers, weights
+            As for `run`; they and what the policy computed of them stay in the state.
 
         Returns
         -------
         prb_owner
             Owner of each PRB, shape (E, K).
         """
-        self._set(policy, None, multipliers)
+        self._set(policy, weights, multipliers)
         owners = np.zeros((self.num_envs, self.scenario.radio.num_prb), np.uint32)
         prepared = self._prepare(policy)
         where = self._constants, self._state, self._scratch, self._one
@@ -469,7 +480,15 @@ def _view(state: SlotState, constants: SlotConstants) -> View:
         "multiplier": state.multiplier,
         "dexterity_index": state.dexterity_index,
     }
-    shown = {name: values.view() for name, values in arrays.items()}
-    for values in shown.values():
-        values.flags.writeable = False
-    return View(**shown, constants=constants)
+    shown = {name: _read_only(values) for name, values in arrays.items()}
+    return View(**shown, constants=_read_only(constants))
+
+
+def _read_only(value: Any) -> Any:
+    """Return views of arrays, also of those in NamedTuples, through which nothing is written."""
+    if isinstance(value, tuple):
+        return type(value)(*map(_read_only, value))
+    if isinstance(value, np.ndarray):
+        value = value.view()
+        value.flags.writeable = False
+    return value

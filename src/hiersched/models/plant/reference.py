@@ -37,7 +37,7 @@ class ReferenceTable:
     turn_rate_radps: NDArray[np.float64]
 
     def rows(self) -> NDArray[np.float64]:
-        """Return what the motion needs of each step, shape (N, 5): see `RobotConstants.path`."""
+        """Return what the motion needs of each step, shape (N, 5): see `UnicycleWords.path`."""
         half_turn = 0.5 * self.step_s * self.turn_rate_radps
         return np.stack(
             [
