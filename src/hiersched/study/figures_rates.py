@@ -81,10 +81,13 @@ def draw_rate_cdf(rates: pd.DataFrame, scenario: Scenario) -> Figure:
 
 
 def draw_rayleigh(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
-    """Draw data rates and queue lengths against the Rayleigh scale."""
+    """Draw data rates and queue lengths against the Rayleigh scale; nothing where it has none."""
     figure, axes = new_figure()
     table = sweeps[sweeps["axis"] == "rayleigh_scale"]
     values = [float(value) for value in scenario.sweeps.rayleigh_scale]
+    if not values:
+        caption(figure, "This scenario does not vary the scale of its fading.")
+        return figure
     for policy in _shown(scenario):
         own = table[table["policy"] == policy]
         for name in SLICES:
