@@ -40,7 +40,6 @@ NOT_A_USE = {
     "gain_points",
     "robots_alone",
     "design_of",
-    "plugin_hashes",
 }
 
 

@@ -1,13 +1,12 @@
 from __future__ import annotations
 
 from dataclasses import FrozenInstanceError, fields, is_dataclass, replace
-from typing import get_args, get_type_hints
+from typing import get_type_hints
 
 import pytest
 import yaml
 
 from hiersched.models.model import SECTIONS
-from hiersched.policies.index_rules import CLASSICAL
 from hiersched.scenario import (
     Scenario,
     ScenarioError,
