@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hiersched.runs.exact import slot_terms
 
 from hiersched.allocation.exact import exact_allocation, lagrangian, owned_rates
 from hiersched.log import LogReader

@@ -130,7 +130,7 @@ def network_words(
 def layer_sizes(
     network: str, hidden: tuple[int, ...], num_features: int, num_urllc: int, num_embb: int
 ) -> tuple[int, ...]:
-    """Inputs, outputs of the hidden layers, outputs.
+    """Return the inputs, the outputs of the hidden layers, and the outputs.
 
     Raises
     ------
