@@ -67,7 +67,7 @@ def _recover(parsed: argparse.Namespace) -> int:
     try:
         report = recover(parsed.log, parsed.out)
     except FileExistsError as error:
-        from hiersched.cli import InputError
+        from hiersched.cli.errors import InputError
 
         raise InputError(str(error)) from error
     spans = ", ".join(f"{start} to {stop - 1}" for start, stop in report.spans) or "none"
@@ -135,7 +135,7 @@ def _statistics(log: LogReader) -> list[str]:
 
 
 def _export(parsed: argparse.Namespace) -> int:
-    from hiersched.cli import InputError
+    from hiersched.cli.errors import InputError
     from hiersched.replay.export import export_for_viewers, export_tables
 
     source = Path(parsed.log)
@@ -156,7 +156,7 @@ def _export(parsed: argparse.Namespace) -> int:
 
 
 def _view(parsed: argparse.Namespace) -> int:
-    from hiersched.cli import InputError
+    from hiersched.cli.errors import InputError
     from hiersched.replay.view import show_in_rerun
 
     try:

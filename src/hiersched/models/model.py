@@ -184,11 +184,13 @@ class Section(Registry[type[Model]]):
         Dotted key of the place.
     base
         What a model here has to be.
+    example
+        A model that needs no keys, for messages.
     """
 
-    def __init__(self, key: str, base: type[Model]) -> None:
+    def __init__(self, key: str, base: type[Model], example: str) -> None:
         super().__init__(f"{key}.model")
-        self.key, self.base = key, base
+        self.key, self.base, self.example = key, base, example
 
     def model(self, cls: M) -> M:
         """Register the decorated dataclass under the name in its `model: Literal["name"]`.
@@ -209,13 +211,13 @@ class Section(Registry[type[Model]]):
         return cls
 
 
-PATH_LOSS = Section("radio.path_loss", PathLoss)
-FADING = Section("radio.fading", Model)
-REPORT = Section("radio.report", Model)
-LINK = Section("radio.link", Model)
-ARRIVALS = Section("traffic.arrivals", Arrivals)
-QUEUE = Section("traffic.queue", Model)
-PLANT = Section("plant", Plant)
+PATH_LOSS = Section("radio.path_loss", PathLoss, "none")
+FADING = Section("radio.fading", Model, "rayleigh")
+REPORT = Section("radio.report", Model, "truth")
+LINK = Section("radio.link", Model, "shannon")
+ARRIVALS = Section("traffic.arrivals", Arrivals, "poisson")
+QUEUE = Section("traffic.queue", Model, "fifo")
+PLANT = Section("plant", Plant, "unicycle")
 
 SECTIONS = {
     section.key: section for section in (PATH_LOSS, FADING, REPORT, LINK, ARRIVALS, QUEUE, PLANT)
