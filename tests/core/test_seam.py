@@ -1,4 +1,4 @@
-"""Seams: kernels by their address, what is refused, errors, and what the cache knows of plug-ins."""
+"""Seams: kernels by their address, what is refused, errors, what the cache knows of plug-ins."""
 
 from __future__ import annotations
 
@@ -125,7 +125,8 @@ def test_plugs_of_the_same_words_are_one_kernel(world):
 def test_a_kernel_of_another_form_is_refused(source):
     made = {}
     exec(source, made)
-    message = r"bad\(.*\): a kernel of the seam a place for tests must be bad\(me, constants, state, slot, env\)"
+    form = r"bad\(me, constants, state, slot, env\)"
+    message = rf"bad\(.*\): a kernel of the seam a place for tests must be {form}"
     with pytest.raises(TypeError, match=message):
         TRY.kernel(Unknown)(made["bad"])
     assert not TRY.fits(Unknown())
@@ -166,10 +167,10 @@ def test_an_error_in_a_plugged_kernel_reaches_python(world, env):
         assert call(plug, *world, env) == env + 1
         np.testing.assert_array_equal(slot.value.values, state.value.values[env])
         return
-    with pytest.raises(ValueError, match="^a value is too large$"):
+    with pytest.raises(ValueError, match=r"^a value is too large$"):
         call(plug, *world, env)
     assert slot.value.values.tolist() == [8.0, 0.0, 0.0, 0.0]
-    with pytest.raises(ValueError, match="^a value is too large$"):
+    with pytest.raises(ValueError, match=r"^a value is too large$"):
         call_all(plugs, *world)
     assert slot.value.values.tolist() == [8.0, 5.0, 6.0, 7.0]
     assert call(plug, *world, 0) == 1
