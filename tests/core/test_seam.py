@@ -240,8 +240,8 @@ def test_our_own_modules_have_no_files_outside():
 
 PLUGIN = """
 from typing import NamedTuple
-import seam_helper
-from seam_helper import SHIFT, share
+from seam_helper import share
+from seam_numbers import SHIFT
 from hiersched.core.seam import Seam
 
 TRY = Seam("a place for tests", reads="", writes="")
@@ -257,12 +257,12 @@ def fill(me, constants, state, slot, env):
 """
 HELPER = """
 from hiersched.core.compiled import inner_kernel
-SHIFT = 0.0
 
 @inner_kernel()
 def share(user):
     return user + 1.0
 """
+NUMBERS = "SHIFT = 0.0\n"
 VALUES = """
 from typing import Any, NamedTuple
 
@@ -333,12 +333,13 @@ def processes(tmp_path):
 
 @pytest.fixture
 def files(tmp_path):
-    """Plug-in and helper, and a function that edits one of them."""
+    """A plug-in and what it imports, and a function that edits one of them."""
     folder = tmp_path / "plugins"
     folder.mkdir()
-    paths = {"plugin": folder / "seam_plugin.py", "helper": folder / "seam_helper.py"}
-    paths["plugin"].write_text(PLUGIN, encoding="utf-8")
-    paths["helper"].write_text(HELPER, encoding="utf-8")
+    texts = {"plugin": PLUGIN, "helper": HELPER, "numbers": NUMBERS}
+    paths = {name: folder / f"seam_{name}.py" for name in texts}
+    for name, text in texts.items():
+        paths[name].write_text(text, encoding="utf-8")
 
     def edit(name, old, new):
         text = paths[name].read_text(encoding="utf-8")
@@ -360,7 +361,7 @@ def test_a_plugin_is_compiled_once_and_anew_when_anything_of_it_changes(processe
         (None, [20.0, 40.0, 60.0]),
         (("plugin", "FACTOR = 2.0", "FACTOR = 3.0"), [30.0, 60.0, 90.0]),
         (("helper", "return user + 1.0", "return user + 2.0"), [60.0, 90.0, 120.0]),
-        (("helper", "SHIFT = 0.0", "SHIFT = 0.5"), [60.5, 90.5, 120.5]),
+        (("numbers", "SHIFT = 0.0", "SHIFT = 0.5"), [60.5, 90.5, 120.5]),
     ]
     for change, values in edits:
         if change is not None:
@@ -375,7 +376,7 @@ def test_an_edit_after_the_import_does_not_poison_the_cache(processes, files):
     paths, _ = files
     for name, change, before, after in (
         ("plugin", "FACTOR = 2.0:FACTOR = 5.0", [20.0, 40.0, 60.0], [50.0, 100.0, 150.0]),
-        ("helper", "SHIFT = 0.0:SHIFT = 7.0", [50.0, 100.0, 150.0], [57.0, 107.0, 157.0]),
+        ("numbers", "SHIFT = 0.0:SHIFT = 7.0", [50.0, 100.0, 150.0], [57.0, 107.0, 157.0]),
     ):
         edit = f"{paths[name]}:{change}"
         assert processes(USE, paths["plugin"], edit)[0]["values"] == before
