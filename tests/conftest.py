@@ -230,3 +230,25 @@ def schedule(decide_by_hand):
         return decide_by_hand(name, rate, **values)[1].tolist()
 
     return run
+
+
+@pytest.fixture(scope="session")
+def torch_weights():
+    """Weights (E, U) that torch forms of features (E, U, F) for a trained policy."""
+
+    def weights(policy, features):
+        import torch
+
+        from hiersched.env import action_weights
+        from hiersched.learning.networks import NETWORKS, Slices
+
+        num_urllc = len(policy.multipliers)
+        slices = Slices(num_urllc, features.shape[1] - num_urllc)
+        network = NETWORKS[policy.network](slices, features.shape[2], policy.hidden)
+        with torch.no_grad():
+            inputs = network.inputs(torch.from_numpy(features).unsqueeze(0))
+            outputs = network.actor.forward(torch.from_numpy(policy.parameters), inputs)
+            actions = network.raw_actions(outputs, 1).tanh()[0].numpy()
+        return action_weights(actions, policy.weight_exponent)
+
+    return weights

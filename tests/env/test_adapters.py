@@ -9,7 +9,7 @@ from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 from hiersched.core.randomness import world_key
-from hiersched.env import SlicingEnv, SlicingParallelEnv, SlicingVectorEnv, user_features
+from hiersched.env import SlicingEnv, SlicingParallelEnv, SlicingVectorEnv
 from hiersched.simulator import Simulator
 
 
@@ -64,7 +64,7 @@ def test_the_batch_goes_on_in_new_worlds_in_the_step_that_ends_an_episode(scenar
     assert truncated.all()
     assert info["_final_obs"].all()
     keys = np.array([world_key("env", 3, index) for index in (2, 3)], np.uint64)
-    fresh = user_features(Simulator(scenario, gains, keys, 1), np.zeros((2, 3)))
+    fresh = Simulator(scenario, gains, keys, 1).features(np.zeros((2, 3)))
     np.testing.assert_array_equal(observation, fresh)
     assert not np.array_equal(info["final_obs"][0], observation[0])
 

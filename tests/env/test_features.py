@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hiersched.core.randomness import world_keys
-from hiersched.env import FEATURES, SlotLoop, agent_views, user_features
+from hiersched.env import FEATURES, SlotLoop, agent_views
 from hiersched.env.core import task_costs
 from hiersched.policies.features import num_features
 from hiersched.simulator import Simulator
@@ -23,8 +23,8 @@ def test_features_of_a_queue_by_hand(scenario, gains):
     simulator.state.backlog_packets[0, 1] = 60.0
     simulator.state.hol_delay_s[0, 1] = 0.04  # twice the deadline
     simulator.state.rate_mbps[0, 1] = 30.0
-    simulator.state.robots.dexterity_index[0, 1] = 0.25
-    features = user_features(simulator, np.array([[0.0, math.e - 1.0, 0.0]]))
+    simulator.state.dexterity_index[0, 1] = 0.25
+    features = simulator.features(np.array([[0.0, math.e - 1.0, 0.0]]))
     assert column(features, "need")[0, 1] == pytest.approx(3.0 / 4.0)
     assert column(features, "log_need")[0, 1] == pytest.approx(math.log(4.0))
     assert column(features, "log_wait")[0, 1] == pytest.approx(math.log(3.0))
@@ -63,17 +63,17 @@ def test_features_of_a_robot_by_hand(scenario, gains):
     simulator = Simulator(scenario, gains, world_keys("t", 1, 2), 4)
     state = np.zeros((2, 3, 5))
     state[1, 2, :2] = 0.03, -0.04
-    simulator.state.robots.set_state(state)
+    simulator.state.robot_state[:] = state
     simulator.state.hol_delay_s[1, 2] = 0.021
-    simulator.state.robots.gain_delay_steps[1, 2] = 4
-    features = user_features(simulator, np.zeros((2, 3)), observe_robots=True)
+    simulator.state.gain_delay_steps[1, 2] = 4
+    features = simulator.features(np.zeros((2, 3)), observe_robots=True)
     assert features.shape == (2, 5, 8 + 3) == (2, 5, num_features(True))
     largest = scenario.max_delay_steps
     assert features[1, 2, 8:].tolist() == pytest.approx([math.log(6.0), 2 / largest, 4 / largest])
     assert features[0, 2, 8:].tolist() == pytest.approx([0.0, 1 / largest, 0.0])
     assert (features[:, 3:, 8:] == 0.0).all()
     simulator.state.hol_delay_s[1, 2] = 1e3
-    assert user_features(simulator, np.zeros((2, 3)), observe_robots=True)[1, 2, 9] == 1.0
+    assert simulator.features(np.zeros((2, 3)), observe_robots=True)[1, 2, 9] == 1.0
 
 
 def test_the_task_costs_each_robot_its_error_in_centimetres(scenario, gains):

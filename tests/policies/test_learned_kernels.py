@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from hiersched.core.pointer import Pointer
-from hiersched.learning.policy import Policy
+from hiersched.learning.policy import TrainedPolicy
 from hiersched.policies.features import num_features, observe_worlds
 from hiersched.policies.learned import network_words
 
@@ -61,15 +61,15 @@ def make_words(network, hidden, *, observe_robots=False, num_urllc=10, num_embb=
     ],
 )
 def test_actions_are_those_of_torch(
-    make_worlds, weigh, network, hidden, num_urllc, num_embb, observe_robots
+    make_worlds, weigh, torch_weights, network, hidden, num_urllc, num_embb, observe_robots
 ):
     sizes = {"num_urllc": num_urllc, "num_embb": num_embb, "observe_robots": observe_robots}
     constants, state = make_worlds(num_urllc, num_embb, num_envs=50)
-    policy = Policy(
+    policy = TrainedPolicy(
         parameters=random_parameters(network, hidden, **sizes),
         network=network,
         hidden=hidden,
-        start="pf",
+        rule="pf",
         observe_robots=observe_robots,
         weight_exponent=EXPONENT,
         num_embb=num_embb,
@@ -79,7 +79,7 @@ def test_actions_are_those_of_torch(
     )
     features = np.empty((50, num_urllc + num_embb, num_features(observe_robots)), np.float32)
     observe_worlds(Pointer(constants), Pointer(state), observe_robots, features)
-    wanted = np.log(policy.act(features)) / EXPONENT
+    wanted = np.log(torch_weights(policy, features)) / EXPONENT
     got = np.log(weigh(make_words(network, hidden, **sizes), constants, state)) / EXPONENT
     assert np.abs(got - wanted).max() < 1e-6
     assert np.std(wanted) > 0.03  # the worlds and users differ

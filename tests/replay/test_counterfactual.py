@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hiersched.learning.policy import Policy
+from hiersched.learning.policy import TrainedPolicy
 from hiersched.log import LogError, LogReader, log_digest
 from hiersched.replay.compare import compare_logs
-from hiersched.replay.counterfactual import find_policy, rerun
+from hiersched.replay.counterfactual import policy_of, rerun
 from hiersched.replay.verify import verify
 from hiersched.runs.logged import load_run
 
@@ -35,7 +35,7 @@ def fields_of(path: Path) -> dict[str, np.ndarray]:
 )
 def test_own_policy_reproduces_the_log(name: str, study: Path, tmp_path: Path) -> None:
     run = load_run(study / name)
-    rerun(run, find_policy(run, run.policy), tmp_path / "again.mcap")
+    rerun(run, policy_of(run, run.policy), tmp_path / "again.mcap")
     assert log_digest(tmp_path / "again.mcap") == log_digest(study / name)
     assert (tmp_path / "again.mcap").read_bytes() == (study / name).read_bytes()
 
@@ -43,7 +43,7 @@ def test_own_policy_reproduces_the_log(name: str, study: Path, tmp_path: Path) -
 def test_another_policy_meets_the_same_world(study: Path, tmp_path: Path) -> None:
     """What comes out is the log that the stage wrote for that policy."""
     run = load_run(study / "eval/pf/seed11.mcap")
-    rerun(run, find_policy(run, "edf"), tmp_path / "edf.mcap")
+    rerun(run, policy_of(run, "edf"), tmp_path / "edf.mcap")
     assert (tmp_path / "edf.mcap").read_bytes() == (study / "eval/edf/seed11.mcap").read_bytes()
     before, after = fields_of(run.path), fields_of(tmp_path / "edf.mcap")
     for name in ("fading_power", "arrival_uniform", "robot_normal"):
@@ -53,7 +53,7 @@ def test_another_policy_meets_the_same_world(study: Path, tmp_path: Path) -> Non
 
 def test_every_episode_of_a_training_under_another_policy(study: Path, tmp_path: Path) -> None:
     run = load_run(study / "train/ddpg/seed1.mcap")
-    rerun(run, find_policy(run, "max_weight"), tmp_path / "a.mcap")
+    rerun(run, policy_of(run, "max_weight"), tmp_path / "a.mcap")
     assert compare_logs(run.path, tmp_path / "a.mcap").num_slots == 48
     again = load_run(tmp_path / "a.mcap")
     assert (again.policy, again.stage, again.num_slots) == ("max_weight", "train", 48)
@@ -64,39 +64,39 @@ def test_every_episode_of_a_training_under_another_policy(study: Path, tmp_path:
 def test_a_file_of_weights(name: str, study: Path, tmp_path: Path) -> None:
     run = load_run(study / name)
     weights = study / "train/ddpg/policy_seed1.pt"
-    rerun(run, find_policy(run, str(weights)), tmp_path / "a.mcap")
+    rerun(run, policy_of(run, str(weights)), tmp_path / "a.mcap")
     again = load_run(tmp_path / "a.mcap")
     assert again.policy == "ddpg"
     assert again.attachments["policy_seed1.pt"] == weights.read_bytes()
     assert verify(again) is None
     if "eval" in name:  # and the new log can be reproduced in turn
-        rerun(again, find_policy(again, "ddpg"), tmp_path / "b.mcap")
+        rerun(again, policy_of(again, "ddpg"), tmp_path / "b.mcap")
         assert log_digest(tmp_path / "b.mcap") == log_digest(tmp_path / "a.mcap")
 
 
 def test_weights_for_another_number_of_users(study: Path, tmp_path: Path) -> None:
-    policy = Policy.load(study / "train/ddpg/policy_seed1.pt").for_users(5)
+    policy = TrainedPolicy.load(study / "train/ddpg/policy_seed1.pt").for_users(5, 2)
     policy.save(tmp_path / "five.pt")
     run = load_run(study / "eval/pf/seed12.mcap")
-    rerun(run, find_policy(run, str(tmp_path / "five.pt")), tmp_path / "a.mcap")
+    rerun(run, policy_of(run, str(tmp_path / "five.pt")), tmp_path / "a.mcap")
     assert verify(load_run(tmp_path / "a.mcap")) is None
 
 
 def test_policies_that_are_not_to_be_had(study: Path, tmp_path: Path, rewrite: Any) -> None:
     run = load_run(study / "eval/pf/seed11.mcap")
     with pytest.raises(ValueError, match=r"policy = 'best': must be one of pf, .*, or a file of"):
-        find_policy(run, "best")
+        policy_of(run, "best")
     (tmp_path / "text.pt").write_text("no weights")
     with pytest.raises(ValueError, match="not a policy file"):
-        find_policy(run, str(tmp_path / "text.pt"))
+        policy_of(run, str(tmp_path / "text.pt"))
     training = load_run(study / "train/ddpg/seed1.mcap")
     with pytest.raises(LogError, match="ddpg was learning in this log"):
-        find_policy(training, "ddpg")
+        policy_of(training, "ddpg")
     study_run = load_run(study / "gain_study/krasovskii_nominal_seed31.mcap")
     with pytest.raises(LogError, match="its delays are forced"):
-        find_policy(study_run, "pf")
+        policy_of(study_run, "pf")
     path = rewrite(
-        study / "eval/ddpg/seed11.mcap", tmp_path / "a.mcap", lambda f, e, m: m.pop("batch_seeds")
+        study / "eval/ddpg/seed11.mcap", tmp_path / "a.mcap", lambda f, e, m: m.pop("policy_seed")
     )
     with pytest.raises(LogError, match="does not have the weights of ddpg"):
-        find_policy(load_run(path), "ddpg")
+        policy_of(load_run(path), "ddpg")

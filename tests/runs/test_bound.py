@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hiersched.runs.exact import slot_terms
 
 from hiersched.allocation.exact import exact_allocation, lagrangian, owned_rates
 from hiersched.log import LogReader
+from hiersched.policies.exact import slot_terms
 from hiersched.runs import paths
 from hiersched.runs.bound import compute_bound, greedy_assignment, sampled_slots
 from hiersched.runs.evaluate import evaluate

@@ -33,6 +33,7 @@ NOT_A_USE = {
     "swept_scenario",
     "cell_scenario",
     "group_policies",
+    "plugin_hashes",
     "learner_scenario",
     "study_scenario",
     "gain_designs",

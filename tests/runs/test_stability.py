@@ -48,7 +48,7 @@ def test_regions_of_the_nominal_loops(tiny: Scenario, monkeypatch: pytest.Monkey
         patch.setattr(stability, "analyse_delay_razumikhin", lambda *_: None)
         network = certified_delays(plant_of(tiny), 6)
     assert network == {"exact": 3, "c1": None, "c2": None, "c3": 3}
-    split = plant_of(replace(tiny, control=replace(tiny.control, plant="split")))
+    split = plant_of(replace(tiny, control=replace(tiny.control, loop="split")))
     assert certified_delays(split, 2) == {"exact": 2, "c1": 2, "c2": 2, "c3": 2}
 
 

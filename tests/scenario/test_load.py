@@ -1,13 +1,12 @@
 from __future__ import annotations
 
 from dataclasses import FrozenInstanceError, fields, is_dataclass, replace
-from typing import get_args, get_type_hints
+from typing import get_type_hints
 
 import pytest
 import yaml
 
 from hiersched.models.model import SECTIONS
-from hiersched.policies.index_rules import CLASSICAL
 from hiersched.scenario import (
     Scenario,
     ScenarioError,
@@ -19,7 +18,7 @@ from hiersched.scenario import (
     scenario_to_dict,
     scenario_to_yaml,
 )
-from hiersched.scenario.schema import SchedulerName, model_at
+from hiersched.scenario.schema import model_at
 
 
 @pytest.fixture(params=["paper", "smoke"])
@@ -156,10 +155,6 @@ def test_a_key_without_its_note_is_refused(tmp_path):
     path.write_text("radio:\n  num_prb: 25  # how many\n", encoding="utf-8")
     with pytest.raises(ScenarioError, match=r"line 2: num_prb lacks its comment"):
         parameter_notes(path)
-
-
-def test_every_scheduler_can_be_named_in_a_scenario():
-    assert set(get_args(SchedulerName)) == {"exact", *CLASSICAL}
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ from hiersched.core.registry import ALGORITHMS, PluginError, load_plugin
 from hiersched.models.model import PATH_LOSS, SECTIONS
 from hiersched.policies.registry import RULES
 from hiersched.runs import dependencies
+from hiersched.runs.variants import swept_policies
 from hiersched.scenario import (
     ScenarioError,
     load_resolved,
@@ -412,7 +413,10 @@ def test_sweeps_of_the_rayleigh_scale_need_a_scale(load_text, plugin):
     text = f"plugins: [{path.name}]\nradio: {{fading: {{model: flat}}}}\n"
     message = fails(load_text, text)
     assert "sweeps.rayleigh_scale = [0.25, 0.5, 1.0, 2.0, 4.0]: must be [] with" in message
-    assert load_text(f"{text}sweeps: {{rayleigh_scale: []}}").radio.fading.model == "flat"
+    scenario = load_text(f"{text}sweeps: {{rayleigh_scale: []}}")
+    # The default's key `scale` is gone with its model.
+    assert scenario_to_dict(scenario)["radio"]["fading"] == {"model": "flat"}
+    assert swept_policies(scenario, "rayleigh_scale") == ()
 
 
 # What a job depends on.

@@ -84,7 +84,7 @@ def test_curves_are_those_of_the_logs(tiny: Scenario, results: Path) -> None:
     for line, (name, frame) in zip(panel.get_lines(), training.items(), strict=True):
         rounds = frame.groupby([(frame["episode"] - 1) // 2, "seed"])["urllc_backlog_packets"]
         expected = rounds.mean().groupby(level=0).mean()
-        assert line.get_label() == policy_look(name, tiny.learned).label
+        assert line.get_label() == policy_look(name, tiny).label
         assert line.get_ydata() == pytest.approx(expected.to_numpy())
         assert line.get_xdata() == pytest.approx([0.5, 1.0])
 

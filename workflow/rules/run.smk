@@ -130,7 +130,9 @@ for s in SCENARIOS:
             f"{folder(s)}/benchmarks/gain_study.tsv"
         threads: 1
         params:
-            spec=dependencies.stage_spec("gain_study", dependencies.gain_study_values(s), script("gain_study")),
+            spec=dependencies.stage_spec(
+                "gain_study", dependencies.gain_study_values(s), script("gain_study")
+            ),
             args=arguments("gain_study", s),
         message:
             f"Running the gain study of {s.name}"
@@ -154,7 +156,9 @@ for s in SCENARIOS:
             threads: 1
             params:
                 spec=dependencies.stage_spec(
-                    f"gain_sweep_{axis}", dependencies.gain_sweep_values(s, axis), script("gain_sweep")
+                    f"gain_sweep_{axis}",
+                    dependencies.gain_sweep_values(s, axis),
+                    script("gain_sweep"),
                 ),
                 args=arguments("gain_sweep", s, "--axis", axis),
             message:

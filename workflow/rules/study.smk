@@ -56,7 +56,9 @@ rule aggregate:
     threads: 1
     params:
         spec=lambda w: dependencies.stage_spec(
-            "aggregate", dependencies.scenario_values(BY_NAME[w.scenario], NOTES), script("aggregate")
+            "aggregate",
+            dependencies.scenario_values(BY_NAME[w.scenario], NOTES),
+            script("aggregate"),
         ),
         args=lambda w: arguments("aggregate", BY_NAME[w.scenario]),
     message:

@@ -64,5 +64,6 @@ def read_strictly(kind: type[T], values: Mapping[str, Any]) -> T:
     pydantic.ValidationError
         On an unknown or missing key, a wrong type, or a value out of range.
     """
-    result: T = _adapter(kind).validate_json(json.dumps(values), strict=True)
+    hashable: Any = kind
+    result: T = _adapter(hashable).validate_json(json.dumps(values), strict=True)
     return result

@@ -26,7 +26,6 @@ __all__ = [
     "SlotLoop",
     "action_weights",
     "agent_views",
-    "user_features",
 ]
 
 _LAZY = {"SlicingEnv": "single", "SlicingParallelEnv": "parallel", "SlicingVectorEnv": "vector"}

@@ -22,14 +22,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
 from pydantic import Field
 
 from hiersched.core.parameters import STRICT
 from hiersched.models.model import Setup
 from hiersched.policies.needs import NEEDS, expected_packets, expected_wait_s, need_mbps
-from hiersched.policies.registry import RULES, Rule
+from hiersched.policies.registry import RULES, Look, Rule
 from hiersched.policies.seams import INDEX
 
 if TYPE_CHECKING:
@@ -45,6 +45,7 @@ class ProportionalFair(Rule):
 
     __pydantic_config__ = STRICT
     model: Literal["pf"] = "pf"
+    look: ClassVar[Look] = Look("PF", "#D55E00", (0, (4, 1.5)), "s")
 
     @property
     def allocation(self) -> str:
@@ -59,6 +60,7 @@ class DriftPlusPenalty(Rule):
 
     __pydantic_config__ = STRICT
     model: Literal["drift_plus_penalty"] = "drift_plus_penalty"
+    look: ClassVar[Look] = Look("drift-plus-penalty", "#CC79A7", (0, (1, 1.2)), "D")
 
     @property
     def allocation(self) -> str:
@@ -73,6 +75,7 @@ class RoundRobin(Rule):
 
     __pydantic_config__ = STRICT
     model: Literal["round_robin"] = "round_robin"
+    look: ClassVar[Look] = Look("round robin", "#56B4E9", (0, (2, 2)), "P")
 
     @property
     def allocation(self) -> str:
@@ -87,6 +90,7 @@ class MaxRate(Rule):
 
     __pydantic_config__ = STRICT
     model: Literal["max_rate"] = "max_rate"
+    look: ClassVar[Look] = Look("max rate", "#999999", (0, (8, 2)), "X")
 
 
 @RULES.model
@@ -96,6 +100,7 @@ class AverageProportionalFair(Rule):
 
     __pydantic_config__ = STRICT
     model: Literal["pf_average"] = "pf_average"
+    look: ClassVar[Look] = Look("PF, average rate", "#E69F00", (0, (3, 1, 1, 1, 1, 1)), "v")
 
     def words(self, setup: Setup) -> AverageWords:
         """As in `Model`."""
@@ -133,6 +138,7 @@ class MaxWeight(_Capped):
 
     __pydantic_config__ = STRICT
     model: Literal["max_weight"] = "max_weight"
+    look: ClassVar[Look] = Look("max-weight", "#009E73", (0, (6, 1.5, 1, 1.5)), "^")
     need: Need = "backlog_and_arrivals"
 
     @classmethod
@@ -167,6 +173,7 @@ class LargestWeightedDelayFirst(_Capped):
 
     __pydantic_config__ = STRICT
     model: Literal["m_lwdf"] = "m_lwdf"
+    look: ClassVar[Look] = Look("M-LWDF", "#7a5195", (0, (5, 1, 1, 1)), "<")
     need: Need = "backlog"
 
     @classmethod
@@ -203,6 +210,7 @@ class LogRule(_Capped):
 
     __pydantic_config__ = STRICT
     model: Literal["log_rule"] = "log_rule"
+    look: ClassVar[Look] = Look("log rule", "#3b3b3b", (0, (1, 2.5)), "p")
     need: Need = "backlog_and_arrivals"
     offset: Annotated[float, Field(ge=1)] = 1.1
     gain: Annotated[float, Field(gt=0)] = 5.0
@@ -248,6 +256,7 @@ class ExponentialProportionalFair(_Capped):
 
     __pydantic_config__ = STRICT
     model: Literal["exp_pf"] = "exp_pf"
+    look: ClassVar[Look] = Look("EXP/PF", "#8c6d31", (0, (3, 3)), ">")
     need: Need = "backlog_and_arrivals"
 
     @classmethod
@@ -297,6 +306,7 @@ class EarliestDeadlineFirst(Rule):
 
     __pydantic_config__ = STRICT
     model: Literal["edf"] = "edf"
+    look: ClassVar[Look] = Look("EDF", "#117733", (0, (7, 1, 2, 1)), "h")
 
     @property
     def allocation(self) -> str:

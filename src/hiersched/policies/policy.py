@@ -122,7 +122,7 @@ class FunctionPolicy:
         decision = self._function(view, **self._parameters)
         if isinstance(decision, np.ndarray):
             return Weights(decision, self._rule)
-        return decision  # type: ignore[no-any-return]  # the simulator looks at it
+        return decision  # the simulator looks at it
 
 
 class LoggedWeights:

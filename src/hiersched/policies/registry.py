@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
-from hiersched.core.registry import Registry
 from hiersched.models.model import Model, Section
 
 if TYPE_CHECKING:
@@ -13,13 +12,29 @@ if TYPE_CHECKING:
 R = TypeVar("R", bound="Rule")
 
 
+class Look(NamedTuple):
+    """How a series is drawn: label, colour (Okabe and Ito's palette), dashes, marker."""
+
+    label: str
+    color: str
+    dashes: Any
+    marker: str
+
+
 class Rule(Model):
     """A compiled scheduler with keys of its own: an allocation, and the kernel of an index.
 
     Its words have a kernel of the seam `policies.seams.INDEX`; with the allocation ``own`` one of
     `ALLOCATE` instead, and with ``log`` and ``lagrangian`` it needs none. Its `faults` do not name
     its place in the scenario.
+
+    Attributes
+    ----------
+    look
+        How figures show the rule under its own name.
     """
+
+    look: ClassVar[Look]
 
     @property
     def allocation(self) -> str:
@@ -34,5 +49,3 @@ class Rule(Model):
 
 RULES = Section("policies.*", Rule)
 """Compiled schedulers by the name in their `model: Literal["name"]`."""
-
-__all__ = ["RULES", "Registry", "Rule"]

@@ -13,7 +13,7 @@ from pathlib import Path
 
 PACKAGE = "hiersched"
 PACKAGE_FOLDER = Path(__file__).resolve().parents[1]
-KERNEL_MODULE = PACKAGE_FOLDER / "simulator" / "kernel.py"
+KERNEL_MODULE = PACKAGE_FOLDER / "simulator" / "simulator.py"
 """The module with the slot loop; with what it imports, it is all that has to be compiled."""
 
 

@@ -2,20 +2,58 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from hiersched.core.randomness import world_keys
+from hiersched.models.model import Setup
+from hiersched.policies.features import num_features
+from hiersched.policies.index_rules import CLASSICAL
+from hiersched.policies.learned import NETWORKS, layer_sizes, network_words, num_parameters
+from hiersched.policies.policy import Weigher
 from hiersched.runs.gain_study import forced_delays
-from hiersched.scenario import load_scenario
+from hiersched.scenario import Scenario, load_scenario
 from hiersched.simulator import Simulator
-from hiersched.simulator.loop_gains import LoopGains
+from hiersched.simulator.loop_gains import nominal_gains
 
 
 def compile_kernels() -> None:
-    """Compile every kernel that a stage calls, by running two slots of the smallest scenario."""
+    """Compile every kernel that a stage calls, by running a slot of the smallest scenario."""
     scenario = load_scenario("smoke")
-    gains = LoopGains.memoryless(np.zeros((scenario.max_delay_steps + 1, 2, 5)))
+    gains = nominal_gains(scenario)
     keys = world_keys("compile", 0, 1)
-    Simulator(scenario, gains, keys, 2).run("pf")
+    simulator = Simulator(scenario, gains, keys, len(CLASSICAL) + len(NETWORKS))
+    for name in CLASSICAL:
+        simulator.run(name, 1)
+        simulator.decide(simulator.rule(name))
+    for network in NETWORKS:
+        simulator.run(_Untrained(scenario, network), 1)
+    none = np.zeros((1, scenario.users.num_urllc))
+    for observe_robots in (False, True):
+        simulator.features(none, observe_robots=observe_robots)
+    simulator.set_channel(simulator.state.fading_power.copy())
     delays = forced_delays(scenario, keys, 2, scenario.users.num_urllc)
     Simulator(scenario, gains, keys, 2).run_robots(delays)
+
+
+class _Untrained(Weigher):
+    """A network of zeros."""
+
+    def __init__(self, scenario: Scenario, network: str) -> None:
+        self.rule, self.multipliers = "pf", np.zeros(scenario.users.num_urllc)
+        self._network = network
+
+    def words(self, setup: Setup) -> Any:
+        """As in `Weigher`."""
+        users = setup.scenario.users
+        counts = {"num_urllc": users.num_urllc, "num_embb": users.num_embb}
+        sizes = layer_sizes(self._network, (1,), num_features(False), **counts)
+        return network_words(
+            np.zeros((2, num_parameters(sizes)), np.float32),
+            self._network,
+            (1,),
+            observe_robots=False,
+            weight_exponent=1.0,
+            **counts,
+        )

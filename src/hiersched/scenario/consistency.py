@@ -5,20 +5,20 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
-from typing import Any, get_args
+from typing import Any
 
 from pydantic import ValidationError
 
 from hiersched.core.parameters import read_strictly
 from hiersched.core.registry import ALGORITHMS, BUILT_IN_ALGORITHMS
 from hiersched.models.model import SECTIONS
+from hiersched.policies.find import UNTRAINED, untrained_names
 from hiersched.scenario.fault_text import own_faults
 from hiersched.scenario.reference_file import reference_faults
 from hiersched.scenario.schema import (
     ImportedPolicy,
     Learning,
     Scenario,
-    SchedulerName,
     delay_steps,
     model_at,
 )
@@ -168,7 +168,7 @@ def _asked(key: str, ask: Callable[[Scenario], list[str]], scenario: Scenario) -
 
 def _own_policies(scenario: Scenario) -> list[str]:
     faults = []
-    taken = dict.fromkeys(get_args(SchedulerName), "a scheduler")
+    taken = dict.fromkeys(UNTRAINED, "a scheduler")
     taken |= dict.fromkeys(scenario.learned, "a learner")
     for name, policy in scenario.policies.items():
         if name in taken:
@@ -196,7 +196,7 @@ def _import_faults(key: str, source: str) -> list[str]:
 def _learners(scenario: Scenario) -> list[str]:
     faults = _learning(scenario, "learning", scenario.learning)
     taken = {scenario.learning.algorithm: "learning.algorithm"}
-    taken |= dict.fromkeys(get_args(SchedulerName), "a scheduler")
+    taken |= dict.fromkeys(UNTRAINED, "a scheduler")
     if taken[scenario.learning.algorithm] == "a scheduler":
         faults.append(
             f"learning.algorithm = {scenario.learning.algorithm}: the name of a scheduler"
@@ -350,7 +350,7 @@ def _full_logs(scenario: Scenario) -> list[str]:
 
 def _policies(scenario: Scenario, key: str, policies: tuple[str, ...]) -> list[str]:
     """Policies that nobody is: no learner, no scheduler, none of `policies`."""
-    known = [*scenario.learned, *get_args(SchedulerName), *scenario.policies]
+    known = [*scenario.learned, *untrained_names(scenario)]
     faults = []
     for policy in policies:
         if policy in ALGORITHMS and policy not in known:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from hiersched.core.parameters import (
     STRICT,
@@ -32,24 +32,12 @@ from hiersched.models.model import (
     PathLoss,
     Plant,
 )
+from hiersched.policies.index_rules import CLASSICAL
 from hiersched.policies.registry import Rule
 from hiersched.scenario.choice import chosen_from, policy_entry
 
 GainMethod = Literal["krasovskii", "razumikhin", "predictor", "latency_compensated", "h2"]
 Reference = Literal["straight", "arc", "figure_eight", "zigzag", "file"]
-SchedulerName = Literal[
-    "pf",
-    "pf_average",
-    "round_robin",
-    "max_rate",
-    "max_weight",
-    "m_lwdf",
-    "exp_pf",
-    "log_rule",
-    "edf",
-    "drift_plus_penalty",
-    "exact",
-]
 Need = Literal["none", "backlog", "backlog_and_arrivals"]
 LearnerName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
 PolicyName = LearnerName
@@ -172,6 +160,12 @@ class Control:
     hold_samples: Annotated[int, Field(ge=0)]
 
 
+def _compiled_rule(name: str) -> str:
+    if name not in CLASSICAL:
+        raise ValueError(f"must be one of {', '.join(CLASSICAL)}")
+    return name
+
+
 @dataclass(frozen=True, kw_only=True)
 class ImportedPolicy:
     """A policy from a function: ``import: "module:function"``, and what it is given.
@@ -194,7 +188,7 @@ class ImportedPolicy:
             pattern=r"^[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*:[A-Za-z_][A-Za-z0-9_]*$",
         ),
     ]
-    rule: SchedulerName = "pf"
+    rule: Annotated[str, AfterValidator(_compiled_rule)] = "pf"
     parameters: OwnKeys = field(default_factory=dict, hash=False)
 
 

@@ -205,8 +205,8 @@ class Simulator:
             policy = find_policy(self.scenario, policy)
         if num_slots is None:
             num_slots = self._slots_of(policy, record)
-        self._set(policy, weights, multipliers)
         record = self._record(num_slots, record)
+        self._set(policy, weights, multipliers)
         if isinstance(policy, LoggedDecisions):
             owners = self._owners(policy.prb_owner, num_slots)
             self._call(self._prepare(None), owners, record)
@@ -251,6 +251,11 @@ class Simulator:
             self._set_weights(weights)
         if multipliers is None:
             multipliers = getattr(policy, "multipliers", None)
+        if multipliers is not None and multipliers.shape[-1] != self.state.multiplier.shape[1]:
+            raise ValueError(
+                f"multipliers of {multipliers.shape[-1]} URLLC users: must be of "
+                f"{self.state.multiplier.shape[1]}"
+            )
         self.state.multiplier[:] = 0.0 if multipliers is None else multipliers
 
     def _set_weights(self, weights: NDArray[np.float64]) -> None:

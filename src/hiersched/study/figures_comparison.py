@@ -9,13 +9,13 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from hiersched.policies.registry import Look
 from hiersched.scenario import Scenario
 from hiersched.study.comparison import BACKLOG
 from hiersched.study.distributions import tail_policies
 from hiersched.study.style import (
     GREY,
     PANEL_HEIGHT_IN,
-    Look,
     arrows_text,
     caption,
     draw_series,
@@ -279,7 +279,7 @@ def _cell_label(value: str) -> str:
 
 
 def _look(policy: str, scenario: Scenario) -> Look:
-    return policy_look(policy, scenario.learned)
+    return policy_look(policy, scenario)
 
 
 def _open_marks(table: pd.DataFrame) -> str:

@@ -57,7 +57,7 @@ def _draw_shares(
     floor = zero_floor([*runs[late], *policies[f"{late}_hi"]])
     learned = scenario.learning.algorithm
     for row, line in enumerate(table.to_dict("records")):
-        look = policy_look(str(line["policy"]), scenario.learned)
+        look = policy_look(str(line["policy"]), scenario)
         own = runs.loc[runs["policy"] == line["policy"], late].to_numpy()
         mean = max(float(line[late]), floor)
         low, high = (max(float(line[f"{late}_{end}"]), floor) for end in ("lo", "hi"))
@@ -80,7 +80,7 @@ def _draw_shares(
             color=GREY,
             zorder=2,
         )
-    names = [policy_look(policy, scenario.learned).label for policy in table["policy"]]
+    names = [policy_look(policy, scenario).label for policy in table["policy"]]
     panel.set_yticks(range(len(table) + 1), [*names, "allowed at χ [%] ="])
     panel.tick_params(axis="y", length=0)
     panel.set_ylim(-0.6, len(table) + 0.5)
@@ -90,7 +90,7 @@ def _draw_shares(
     log_axis_with_zero(panel, floor, [*np.minimum(drawn, 1.0).ravel(), allowed], which="x")
     _draw_levels(panel, scenario, len(table))
     shares = policies.set_index("policy")[late]
-    looks = {p: policy_look(p, scenario.learned) for p in (learned, BASELINE)}
+    looks = {p: policy_look(p, scenario) for p in (learned, BASELINE)}
     named = [(p, look) for p, look in looks.items() if p in shares.index]
     seen = ", ".join(f"{look.label.split()[0]} {_percent(shares[p])}" for p, look in named)
     deadline = f"{1e3 * scenario.traffic.deadline_s:g} ms"
@@ -118,7 +118,7 @@ def _draw_tails(panel: Axes, tails: pd.DataFrame, scenario: Scenario) -> None:
     bottom = 1e-5
     for policy in tail_policies(scenario):
         curve = tails[tails["policy"] == policy]
-        look = policy_look(policy, scenario.learned)
+        look = policy_look(policy, scenario)
         delay_ms = 1e3 * curve["delay_s"]
         low, high = (np.maximum(curve[f"share_{end}"], bottom / 10) for end in ("lo", "hi"))
         panel.fill_between(delay_ms, low, high, color=look.color, alpha=0.15, linewidth=0)

@@ -6,11 +6,11 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from hiersched.policies.registry import Look
 from hiersched.scenario import Scenario
 from hiersched.study.style import (
     GAIN_METHODS,
     PAPER_COLOR,
-    Look,
     caption,
     draw_series,
     new_figure,

@@ -8,12 +8,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from hiersched.policies.registry import Look
 from hiersched.scenario import Scenario
 from hiersched.study.statistics import mean_interval
 from hiersched.study.style import (
     GAIN_METHODS,
     GREY,
-    Look,
     caption,
     draw_series,
     log_ticks,

@@ -9,6 +9,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from hiersched.policies.registry import Look
 from hiersched.scenario import Scenario
 from hiersched.study.collect import BASELINE
 from hiersched.study.figures_comparison import LOAD_BOUNDS, LOAD_PANELS, spans_decades
@@ -18,7 +19,6 @@ from hiersched.study.style import (
     CONTROL,
     GREY,
     PANEL_HEIGHT_IN,
-    Look,
     arrows_text,
     caption,
     draw_series,
@@ -64,7 +64,7 @@ def draw_learning(
         for panel, (measure, title, label), letter in zip(axes, _CURVES, letters, strict=True):
             for learner, frame in frames.items():
                 learning = scenario.learned[learner]
-                look = CONTROL if learning.frozen else policy_look(learner, learners(scenario))
+                look = CONTROL if learning.frozen else policy_look(learner, scenario)
                 look = look._replace(label=look.label if learner in named else "_")
                 if frames is training:
                     curve = training_curve(frame, measure, learning.num_envs)
@@ -141,7 +141,7 @@ def draw_learners(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
             bounds = own[f"{measure}_lo"], own[f"{measure}_hi"]
             # Side by side at each load: learners often lie on each other.
             x = loads + 0.09 * (number - 0.5 * (len(policies) - 1))
-            look = policy_look(policy, scenario.learned)._replace(dashes="none")
+            look = policy_look(policy, scenario)._replace(dashes="none")
             draw_series(panel, x, own[measure], *bounds, look, floor=floor)
         if floor is not None:
             drawn = table[[measure, f"{measure}_hi"]].to_numpy(dtype=np.float64)

@@ -10,13 +10,13 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from hiersched.policies.registry import Look
 from hiersched.scenario import Scenario
 from hiersched.study.collect import BASELINE
 from hiersched.study.paper import TABLE3
 from hiersched.study.style import (
     PAPER_COLOR,
     SLICES,
-    Look,
     arrows_text,
     caption,
     draw_series,
@@ -81,10 +81,13 @@ def draw_rate_cdf(rates: pd.DataFrame, scenario: Scenario) -> Figure:
 
 
 def draw_rayleigh(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
-    """Draw data rates and queue lengths against the Rayleigh scale."""
+    """Draw data rates and queue lengths against the Rayleigh scale; nothing where it has none."""
     figure, axes = new_figure()
     table = sweeps[sweeps["axis"] == "rayleigh_scale"]
     values = [float(value) for value in scenario.sweeps.rayleigh_scale]
+    if not values:
+        caption(figure, "This scenario does not vary the scale of its fading.")
+        return figure
     for policy in _shown(scenario):
         own = table[table["policy"] == policy]
         for name in SLICES:
@@ -120,7 +123,7 @@ def draw_sampling(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     for panel, name, letter in zip(axes, ("embb", "urllc"), "ab", strict=True):
         for policy in _shown(scenario):
             own = table[table["policy"] == policy]
-            look = policy_look(policy, scenario.learned)
+            look = policy_look(policy, scenario)
             _draw(panel, values, own, f"{name}_rate_mbps", look)
         log_ticks(panel, values)
         panel.set_xlabel("sampling interval h [ms]")
@@ -142,7 +145,7 @@ def draw_dexterity(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     for panel, name, letter in zip(axes, ("embb", "urllc"), "ab", strict=True):
         for policy in _shown(scenario):
             own = table[table["policy"] == policy].sort_values("dexterity_index")
-            look = policy_look(policy, scenario.learned)
+            look = policy_look(policy, scenario)
             index = own["dexterity_index"].to_numpy()
             _draw(panel, index, own, f"{name}_rate_mbps", look)
             sideways = [
@@ -178,7 +181,7 @@ def _shown(scenario: Scenario) -> list[str]:
 
 def _pair_look(policy: str, name: str, scenario: Scenario) -> Look:
     """Colour says which slice; dashes and markers say both, for readers in grey."""
-    own = policy_look(policy, scenario.learned)
+    own = policy_look(policy, scenario)
     part = SLICES[name]
     dashes, marker = _PAIRS[name, policy == scenario.learning.algorithm]
     return Look(f"{part.label}, {own.label}", part.color, dashes, marker)
@@ -215,7 +218,7 @@ def _coincidence(table: pd.DataFrame, scenario: Scenario) -> str:
         own = table[table["policy"] == policy]
         apart = (own["embb_rate_mbps"] / own["urllc_rate_mbps"] - 1.0).abs().max()
         if apart < COINCIDENT_SHARE:
-            name = policy_look(policy, scenario.learned).label
+            name = policy_look(policy, scenario).label
             names.append(f" In (a) eMBB and URLLC under {name} coincide (within {apart:.1%}).")
     return "".join(names).replace("%", " %")
 

@@ -8,10 +8,10 @@ from __future__ import annotations
 import io
 import math
 import textwrap
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -21,6 +21,9 @@ from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedFormatter, FixedLocator, NullFormatter, NullLocator
 
+from hiersched.policies.find import EXACT
+from hiersched.policies.registry import RULES, Look
+from hiersched.scenario import Scenario
 from hiersched.study.files import write_bytes
 
 WIDTH_IN = 7.2
@@ -65,27 +68,7 @@ ALGORITHM_NAMES = ("ddpg", "a2c")
 """Words that are written in capitals."""
 
 
-class Look(NamedTuple):
-    """How a series is drawn: label, colour (Okabe and Ito's palette), dashes, marker."""
-
-    label: str
-    color: str
-    dashes: Any
-    marker: str
-
-
-_POLICIES = {
-    "pf": Look("PF", "#D55E00", (0, (4, 1.5)), "s"),
-    "max_weight": Look("max-weight", "#009E73", (0, (6, 1.5, 1, 1.5)), "^"),
-    "drift_plus_penalty": Look("drift-plus-penalty", "#CC79A7", (0, (1, 1.2)), "D"),
-    "pf_average": Look("PF, average rate", "#E69F00", (0, (3, 1, 1, 1, 1, 1)), "v"),
-    "round_robin": Look("round robin", "#56B4E9", (0, (2, 2)), "P"),
-    "max_rate": Look("max rate", "#999999", (0, (8, 2)), "X"),
-    "m_lwdf": Look("M-LWDF", "#7a5195", (0, (5, 1, 1, 1)), "<"),
-    "exp_pf": Look("EXP/PF", "#8c6d31", (0, (3, 3)), ">"),
-    "log_rule": Look("log rule", "#3b3b3b", (0, (1, 2.5)), "p"),
-    "edf": Look("EDF", "#117733", (0, (7, 1, 2, 1)), "h"),
-}
+_EXACT = Look("exact optimum", "#000000", (0, (1, 4)), "*")
 _LEARNED_COLOR = "#0072B2"
 _LEARNER_LOOKS = (
     ("#AA3377", (0, (5, 1.5)), "X"),
@@ -95,6 +78,13 @@ _LEARNER_LOOKS = (
     ("#661100", (0, (8, 2)), "<"),
 )
 """Of the learners besides the scenario's own, in their order; over again after the last."""
+_OWN_LOOKS = (
+    ("#B03060", (0, (4, 2, 1, 2)), "*"),
+    ("#4B7F52", (0, (2, 1, 2, 3)), "8"),
+    ("#6A5ACD", (0, (9, 2)), "H"),
+    ("#A0522D", (0, (1, 1, 3, 1)), "d"),
+)
+"""Of the policies that a scenario adds, likewise."""
 CONTROL = Look("learns nothing", GREY, (0, (3, 1.5)), "d")
 """Of learners whose actors stay as they start."""
 SLICES = {
@@ -112,25 +102,28 @@ GAIN_METHODS = {
 """How the methods of the gain study are drawn."""
 
 
-def policy_look(policy: str, learners: Iterable[str] = ("ddpg",)) -> Look:
+def policy_look(policy: str, scenario: Scenario | None = None) -> Look:
     """Return how a policy is drawn, the same in every figure.
 
     Parameters
     ----------
     policy
-        A scheduler or a learner.
-    learners
-        Names of the learners, the scenario's own first.
+        A rule, or a learner or policy of the scenario.
+    scenario
+        Its learners, the study's own first, and its own policies; unless given there is ``ddpg``.
     """
-    names = list(learners)
-    if policy in names:
+    learners = ["ddpg"] if scenario is None else list(scenario.learned)
+    if policy in learners:
         words = policy.split("_")
         text = " ".join([words[0].upper() if words[0] in ALGORITHM_NAMES else words[0], *words[1:]])
-        place = names.index(policy)
+        place = learners.index(policy)
         if place == 0:
             return Look(f"DRL ({text})", _LEARNED_COLOR, "-", "o")
         return Look(text, *_LEARNER_LOOKS[(place - 1) % len(_LEARNER_LOOKS)])
-    return _POLICIES.get(policy, Look(policy, GREY, "-", "*"))
+    own = [] if scenario is None else list(scenario.policies)
+    if policy in own:
+        return Look(policy.replace("_", " "), *_OWN_LOOKS[own.index(policy) % len(_OWN_LOOKS)])
+    return _EXACT if policy == EXACT else RULES[policy].look  # type: ignore[attr-defined]
 
 
 @contextmanager
