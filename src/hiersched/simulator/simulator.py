@@ -417,6 +417,7 @@ class Simulator:
                 self._set_weights(np.asarray(decision.values, np.float64))
                 self._call(self._prepare(self._base(decision.rule)), self._no_owners, one)
             elif isinstance(decision, Owners):
+                self.state.weight[:] = 1.0
                 owners = self._owners(np.asarray(decision.prb_owner)[:, None], 1)
                 self._call(self._prepare(None), owners, one)
             else:
