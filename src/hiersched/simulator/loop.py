@@ -50,7 +50,7 @@ class Plugs(NamedTuple):
 
 
 @inner_kernel()
-def _draw_channel(plugs: Any, constants: Any, state: Any, slot: Any, env: int) -> None:
+def draw_channel(plugs: Any, constants: Any, state: Any, slot: Any, env: int) -> None:
     """Draw a world's coming slot: fading, rates, and what is reported of them."""
     if plugs.path_loss.kernel != 0:
         call_plug(plugs.path_loss, constants, state, slot, env)
@@ -78,7 +78,7 @@ def draw_channels(plugs: Any, constants: Any, state: Any, slot: Any) -> None:
     """Draw every world's first slot; the average rate starts at that of one PRB."""
     num_users, num_prb = state.reported_rate_mbps.shape[1:]
     for env in range(state.key.shape[0]):
-        _draw_channel(plugs, constants, state, slot, env)
+        draw_channel(plugs, constants, state, slot, env)
         for user in range(num_users):
             total = 0.0
             for prb in range(num_prb):
@@ -129,7 +129,7 @@ def run_slots(
             _copy(slot.network_delay_s, state.delay_s[env])
             state.slot[env] += 1
             _copy(one.words, row)
-            _draw_channel(plugs, constants, state, slot, env)
+            draw_channel(plugs, constants, state, slot, env)
 
 
 @kernel()
