@@ -104,7 +104,7 @@ def _origin(log: LogReader) -> list[str]:
         f"{log.num_slots * log.slot_ns / 1e9:g} s",
     ]
     if log.model_fields:
-        names = ", ".join(f"{field.name} [{field.unit}]" for field in log.model_fields)
+        names = ", ".join(f"{f.name} [{f.unit}] ({f.count})" for f in log.model_fields)
         lines.insert(-1, f"models      {names}")
     if text.get("recovered_losses"):
         lines.append(f"recovered   lost: {text['recovered_losses']}")
