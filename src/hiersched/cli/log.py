@@ -103,6 +103,9 @@ def _origin(log: LogReader) -> list[str]:
         f"duration    {log.num_slots} slots of {log.slot_ns / 1e6:g} ms: "
         f"{log.num_slots * log.slot_ns / 1e9:g} s",
     ]
+    if log.model_fields:
+        names = ", ".join(f"{f.name} [{f.unit}] ({f.count})" for f in log.model_fields)
+        lines.insert(-1, f"models      {names}")
     if text.get("recovered_losses"):
         lines.append(f"recovered   lost: {text['recovered_losses']}")
     return lines

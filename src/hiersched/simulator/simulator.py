@@ -14,7 +14,7 @@ from hiersched.allocation.objective import user_terms
 from hiersched.core.pointer import Pointer
 from hiersched.core.seam import UNUSED, Plug, Seam, address_of
 from hiersched.models import seams
-from hiersched.models.model import Model, Setup
+from hiersched.models.model import Model, Setup, num_model_values
 from hiersched.policies.features import num_features, observe_worlds
 from hiersched.policies.find import find_policy
 from hiersched.policies.policy import LoggedDecisions, Owners, Policy, View, Weigher, Weights
@@ -100,6 +100,7 @@ class Simulator:
             scenario.users.num_urllc,
             scenario.radio.num_prb,
             scenario.robot_sizes,
+            num_model_values(scenario),
         )
         one = self._layout.slot()
         self._scratch = Pointer(SlotScratch(terms=user_terms(self.constants)))
