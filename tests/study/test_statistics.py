@@ -177,7 +177,7 @@ def test_many_seeds_are_halved_in_a_thousand_different_ways(count: int) -> None:
     )
 
 
-@pytest.mark.parametrize("values", [[], [[1.0]]])
+@pytest.mark.parametrize("values", [[], [[[1.0]]]])
 def test_a_sample_of_another_shape_is_refused(values: list[object]) -> None:
     with pytest.raises(ValueError, match="shape"):
         mean_interval(np.array(values, dtype=float))

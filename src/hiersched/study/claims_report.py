@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from hiersched.core.files import write_bytes
 from hiersched.scenario import Scenario
 from hiersched.study.claims import judge
 from hiersched.study.collect import (
@@ -17,7 +18,6 @@ from hiersched.study.collect import (
     runs_frame,
     training_frames,
 )
-from hiersched.study.files import write_bytes
 from hiersched.study.sensitivities import Frames
 from hiersched.study.statistics import LEVEL
 from hiersched.study.tables import interval_text

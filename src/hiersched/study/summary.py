@@ -15,9 +15,10 @@ from hiersched.control import GainSchedule, spectral_radius_by_delay
 from hiersched.runs.policies import world_slots
 from hiersched.scenario import Scenario
 from hiersched.simulator.loop_gains import plant_of
-from hiersched.study.collect import BASELINE, read_evaluation, violation_column
+from hiersched.study.collect import BASELINE, read_evaluation
 from hiersched.study.comparison import best_classical, standing
 from hiersched.study.intervals import measure_interval, resolution, smallest_late_share
+from hiersched.study.metrics import violation_column
 from hiersched.study.paper import TABLE2, TABLE3
 from hiersched.study.statistics import (
     Interval,

@@ -10,6 +10,7 @@ from typing import Any
 
 import pandas as pd
 
+from hiersched.core.files import csv_text, write_bytes
 from hiersched.scenario import Scenario, load_scenario, scenario_notes, scenario_to_dict
 from hiersched.scenario.plugins import CONFIG
 from hiersched.study.collect import (
@@ -25,7 +26,6 @@ from hiersched.study.comparison import (
     generalisation_table,
     score_table,
 )
-from hiersched.study.files import csv_text, write_bytes
 from hiersched.study.gain_summary import (
     grid_table,
     methods_table,
