@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import product
+
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 
-def sample_of(runs: pd.DataFrame, name: str) -> NDArray[np.float64]:
+def sample_of(
+    runs: pd.DataFrame, name: str, worlds: Sequence[int] | None = None
+) -> NDArray[np.float64]:
     """Return a measure of one policy under one condition.
 
     Parameters
@@ -17,33 +22,33 @@ def sample_of(runs: pd.DataFrame, name: str) -> NDArray[np.float64]:
         empty, they are of a rule.
     name
         A measure.
+    worlds
+        Their order; that of the rows unless given.
 
     Returns
     -------
     ndarray
-        Of a rule shape (W,), in the order of the rows; of a learned policy shape (P, W), training
-        seeds and worlds in the order in which they come first.
+        Of a rule shape (W,), of a learned policy shape (P, W), training seeds in the order of the
+        rows.
 
     Raises
     ------
     ValueError
-        If not every trained policy ran once in every world.
+        If not every policy ran once in every world.
     """
-    values = runs[name].to_numpy(np.float64)
-    if not is_learned(runs):
-        return values
-    policies, worlds = (list(dict.fromkeys(runs[key])) for key in ("policy_seed", "seed"))
-    table = np.full((len(policies), len(worlds)), np.nan)
-    filled = np.zeros(table.shape, bool)
-    rows = [policies.index(seed) for seed in runs["policy_seed"]]
-    columns = [worlds.index(seed) for seed in runs["seed"]]
-    table[rows, columns], filled[rows, columns] = values, True
-    if len(runs) != table.size or not filled.all():
+    worlds = worlds_of(runs) if worlds is None else worlds
+    learned = is_learned(runs)
+    trained = runs["policy_seed"].tolist() if learned else [0] * len(runs)
+    policies = list(dict.fromkeys(trained))
+    pairs = dict(zip(zip(trained, runs["seed"], strict=True), runs[name], strict=True))
+    wanted = list(product(policies, worlds))
+    if len(runs) != len(wanted) or set(pairs) != set(wanted):
         raise ValueError(
             f"{len(runs)} runs of {len(policies)} policies in {len(worlds)} worlds: must be each "
             "policy once in each world"
         )
-    return table
+    values = np.array([pairs[pair] for pair in wanted], dtype=np.float64)
+    return values.reshape(len(policies), len(worlds)) if learned else values
 
 
 def is_learned(runs: pd.DataFrame) -> bool:
@@ -74,11 +79,12 @@ def paired(
     ValueError
         If they did not run in the same worlds.
     """
-    if worlds_of(own) != worlds_of(other):
+    worlds = worlds_of(own)
+    if set(worlds) != set(worlds_of(other)):
         raise ValueError(
             f"{own['policy'].iloc[0]} and {other['policy'].iloc[0]} did not run in the same worlds"
         )
-    a, b = sample_of(own, name), sample_of(other, name)
+    a, b = sample_of(own, name), sample_of(other, name, worlds)
     if a.ndim == b.ndim == 2:
         common = min(len(a), len(b))
         a, b = a[:common], b[:common]
