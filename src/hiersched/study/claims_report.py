@@ -100,8 +100,8 @@ def claims_markdown(claims: Sequence[Claim], scenario: Scenario) -> str:
         f"# The paper's claims in scenario `{scenario.name}`",
         "",
         f"{RULE} Brackets hold {100.0 * LEVEL:g} % intervals over seeds, of learned policies "
-        "over training seeds and worlds, each policy in every world, paired where worlds are shared: "
-        "Student t, of ratios on their logarithms. *d* is the standardised effect: mean "
+        "over training seeds and worlds, each policy in every world, paired where worlds are "
+        "shared: Student t, of ratios on their logarithms. *d* is the standardised effect: mean "
         "over standard deviation of the paired differences, or of the logarithms of the ratios.",
         "",
         *verdict_table(claims),

@@ -79,8 +79,8 @@ def draw_load(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     shared_legend(figure, axes[0], columns=6)
     caption(
         figure,
-        f"Mean and 95 % interval over {len(scenario.sweeps.seeds)} worlds, of the learned policy also "
-        "over training seeds; bars leave "
+        f"Mean and 95 % interval over {len(scenario.sweeps.seeds)} worlds, of the learned policy "
+        "also over training seeds; bars leave "
         "logarithmic axes, or end at 0 in (a), where they include 0. Grey line in (a): the share "
         f"1 − χ that is allowed; below the dotted line: 0.{_open_marks(table)}"
         f"{arrows_text(table[LOAD_BOUNDS])} The axes of (b) and (d) do not start at 0.",
@@ -121,8 +121,8 @@ def draw_delay(tails: pd.DataFrame, scenario: Scenario) -> Figure:
     shared_legend(figure, axes[1], columns=6)
     caption(
         figure,
-        f"Mean over {len(scenario.evaluate.seeds)} worlds, world i under the learned policy of training "
-        "seed i; bands in (a): Student t 95 % interval. "
+        f"Mean over {len(scenario.evaluate.seeds)} worlds, world i under the learned policy of "
+        "training seed i; bands in (a): Student t 95 % interval. "
         f"Black: deadline; grey: 1 − χ. Packets that still wait at the end do not count. A curve "
         f"that ends has no slower packet; shares below {TAIL_END:g} are not shown.",
     )
@@ -215,7 +215,8 @@ def draw_bound(bound: pd.DataFrame, scenario: Scenario) -> Figure:
     caption(
         figure,
         f"Mean over {slots} slots of each of {len(scenario.evaluate.seeds)} worlds; bars: Student "
-        "t 95 % intervals over worlds, world i under the learned policy of training seed i, cut where they include 0. Small grey diamonds in (a): what "
+        "t 95 % intervals over worlds, world i under the learned policy of training seed i, "
+        "cut where they include 0. Small grey diamonds in (a): what "
         "the greedy rule would have lost in the same states. The optimum is a mixed-integer "
         f"programme; what its bound leaves open is at most {bound['uncertified'].max():.2g}.",
     )

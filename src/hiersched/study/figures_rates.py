@@ -110,8 +110,8 @@ def draw_rayleigh(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     shared_legend(figure, axes[0], columns=3)
     caption(
         figure,
-        f"Mean and {_over_seeds(scenario.sweeps.seeds)}{_AND_POLICIES}. The rate axis does not start at 0; bars "
-        "leave the logarithmic axis where they include 0. Stars at σ\u00a0=\u00a01: "
+        f"Mean and {_over_seeds(scenario.sweeps.seeds)}{_AND_POLICIES}. The rate axis does not "
+        "start at 0; bars leave the logarithmic axis where they include 0. Stars at σ\u00a0=\u00a01: "
         f"mean of the three slots of the paper's Table III.{_coincidence(table, scenario)}"
         f"{arrows_text(shown[[f'{name}_backlog_packets_hi' for name in SLICES]])}",
     )
@@ -137,7 +137,8 @@ def draw_sampling(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     shared_legend(figure, axes[0])
     caption(
         figure,
-        f"Mean and {_over_seeds(scenario.sweeps.seeds)}{_AND_POLICIES}. The rate axes do not start at 0.",
+        f"Mean and {_over_seeds(scenario.sweeps.seeds)}{_AND_POLICIES}. The rate axes do not start "
+        "at 0.",
     )
     return figure
 
@@ -170,8 +171,8 @@ def draw_dexterity(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     shared_legend(figure, axes[0])
     caption(
         figure,
-        f"Mean and {_over_seeds(scenario.sweeps.seeds)}{_AND_POLICIES}. The rate axes do not start at 0. DI: "
-        "dexterity index; titles: change of the mean from the lowest index to the highest. The "
+        f"Mean and {_over_seeds(scenario.sweeps.seeds)}{_AND_POLICIES}. The rate axes do not start "
+        "at 0. DI: dexterity index; titles: change of the mean from the lowest index to the highest. The "
         "paper has the data rate fall as the index grows.",
     )
     return figure

@@ -86,7 +86,7 @@ TITLES = {
         "Table III: mean data rate of the URLLC users",
         f"{_SEEDS} Slot 1 is the first slot of a run; `mean` is over the whole run. The channel "
         "gain is the mean of |h|² over URLLC users and PRBs, 2 s² in expectation; the paper does "
-        ff"not define its own. {_RATIO} {_LOGGED}",
+        f"not define its own. {_RATIO} {_LOGGED}",
     ),
     "policies": (
         "Policies in the same worlds",
@@ -140,8 +140,8 @@ TITLES = {
         "Policies over all loads",
         "Score: log(PF / own) / log(PF / best classical scheduler of the load) of mean square "
         "backlogs, both summed over the loads; 0 is PF, 1 the best. Mean and Student t 95 % "
-        f"interval over worlds. {_LEARNED} `shorter_worlds`: share of worlds and loads in which the "
-        "policy's mean square backlog is below that of the best classical scheduler.",
+        f"interval over worlds. {_LEARNED} `shorter_worlds`: share of worlds and loads in which "
+        "the policy's mean square backlog is below that of the best classical scheduler.",
     ),
     "generalisation": (
         "Trained policies where they were not trained",
