@@ -125,7 +125,7 @@ def _condition_frame(results_dir: Path, run: _Condition) -> pd.DataFrame:
     table = pd.DataFrame(rows).assign(logged=True)
     if paths.is_crossed(run.scenario, run.policy):
         path = _existing(results_dir / run.crossed)
-        others = pd.read_csv(path, float_precision="round_trip").assign(logged=False)
+        others = pd.read_csv(path).assign(logged=False)
         table = pd.concat([table, others], ignore_index=True)
     table["policy_seed"] = table["policy_seed"].astype("Int64")
     learning = run.scenario.learned.get(run.policy)

@@ -111,7 +111,8 @@ def draw_rayleigh(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     caption(
         figure,
         f"Mean and {_over_seeds(scenario.sweeps.seeds)}{_AND_POLICIES}. The rate axis does not "
-        "start at 0; bars leave the logarithmic axis where they include 0. Stars at σ\u00a0=\u00a01: "
+        "start at 0; bars leave the logarithmic axis where they include 0. Stars "
+        "at σ\u00a0=\u00a01: "
         f"mean of the three slots of the paper's Table III.{_coincidence(table, scenario)}"
         f"{arrows_text(shown[[f'{name}_backlog_packets_hi' for name in SLICES]])}",
     )
@@ -172,8 +173,8 @@ def draw_dexterity(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     caption(
         figure,
         f"Mean and {_over_seeds(scenario.sweeps.seeds)}{_AND_POLICIES}. The rate axes do not start "
-        "at 0. DI: dexterity index; titles: change of the mean from the lowest index to the highest. The "
-        "paper has the data rate fall as the index grows.",
+        "at 0. DI: dexterity index; titles: change of the mean from the lowest index to the "
+        "highest. The paper has the data rate fall as the index grows.",
     )
     return figure
 
