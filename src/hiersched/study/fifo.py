@@ -63,10 +63,8 @@ def sojourn_slots(
     slots, count = np.arange(len(arrivals_packets)), int(completed[-1])
     out = np.diff(completed)  # packets that a slot completes; each packet has the slot it is among
     origin = np.repeat(slots, arrivals_packets)[:count]
-    slot, load, served = (
-        np.repeat(values, out)
-        for values in (slots, backlog[:-1] + arrivals_packets, service_packets)
-    )
+    slot, served = np.repeat(slots, out), np.repeat(service_packets, out)
+    load = np.repeat(backlog[:-1] + arrivals_packets, out)
     # Packets after this one that have arrived.
     behind = np.repeat(arrived[1:], out) - np.arange(1, count + 1)
     result: FloatArray = (slot - origin) + (load - behind) / served
