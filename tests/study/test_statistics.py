@@ -289,6 +289,9 @@ def test_probability_of_improvement_of_crossed_values_draws_policies_and_worlds(
     got = probability_of_improvement(own, np.ones(10))
     shares = stats.binom.ppf([0.025, 0.975], 10, 0.5) / 10.0
     assert got == pytest.approx((0.5, *shares))
+    assert probability_of_improvement(own.T, np.ones(10)) == pytest.approx(got, abs=0.1)
+    other = probability_of_improvement(np.ones((10, 10)), own[:, 0])
+    assert other == pytest.approx(got, abs=0.1)
     assert probability_of_improvement(C, [2.0, 4.0]).mean == pytest.approx(
         np.mean([[x < b, x == b] @ np.array([1.0, 0.5]) for x in C.ravel() for b in (2.0, 4.0)])
     )
