@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from hiersched.learning.policy import TrainedPolicy
@@ -13,7 +16,15 @@ from hiersched.log import LogError, LogReader, log_digest
 from hiersched.replay.compare import compare_logs
 from hiersched.replay.counterfactual import policy_of, rerun
 from hiersched.replay.verify import verify
+from hiersched.runs import paths
+from hiersched.runs.evaluate import evaluate
+from hiersched.runs.generalise import generalise
+from hiersched.runs.learned import learned_policies
 from hiersched.runs.logged import load_run
+from hiersched.runs.sweep import sweep
+from hiersched.runs.variants import cell_scenario
+from hiersched.scenario import Scenario
+from hiersched.study.metrics import measured_row, metrics_row, run_metrics
 
 
 def fields_of(path: Path) -> dict[str, np.ndarray]:
@@ -72,6 +83,48 @@ def test_a_file_of_weights(name: str, study: Path, tmp_path: Path) -> None:
     if "eval" in name:  # and the new log can be reproduced in turn
         rerun(again, policy_of(again, "ddpg"), tmp_path / "b.mcap")
         assert log_digest(tmp_path / "b.mcap") == log_digest(tmp_path / "a.mcap")
+
+
+@pytest.mark.parametrize("stage", ["evaluate", "sweep", "generalise"])
+def test_a_run_without_log_comes_from_a_rules_log_of_its_world(
+    stage: str, small: Scenario, study: Path, tmp_path: Path
+) -> None:
+    """Every pair of policy and world that is measured and not logged, to the last bit."""
+    weights = []
+    for seed in (1, 2):
+        policy = TrainedPolicy.load(study / "train/ddpg/policy_seed1.pt")
+        rng = np.random.default_rng(seed)
+        parameters = rng.normal(0.0, 0.5, policy.parameters.shape).astype(np.float32)
+        weights.append(tmp_path / f"policy_seed{seed}.pt")
+        replace(policy, parameters=parameters, seed=seed).save(weights[-1])
+    results, source = tmp_path / "results", learned_policies(weights)
+    shutil.copytree(study / "gains", results / "gains")
+    if stage == "evaluate":
+        evaluate(small, results, "ddpg", source, measured_row)
+        crossed, scenario = paths.evaluation_crossed("ddpg"), small
+        logs = {seed: paths.evaluation_log("pf", seed) for seed in small.evaluate.seeds}
+    elif stage == "sweep":
+        sweep(small, results, "reference", "ddpg", source, measured_row)
+        crossed, scenario = paths.sweep_crossed("reference", "ddpg", "arc"), small
+        logs = {21: paths.sweep_log("reference", "pf", "arc", 21)}
+    else:
+        generalise(small, results, "ddpg", source, measured_row)
+        (cell,) = small.generalise.cells
+        crossed, scenario = paths.cell_crossed(cell, "ddpg"), cell_scenario(small, cell)
+        logs = {41: paths.cell_log(cell, "pf", 41)}
+    rows = pd.read_csv(results / crossed)
+    assert len(rows) == len(logs)  # of two policies in these worlds one each is logged
+    for row in rows.to_dict("records"):
+        run = load_run(study / logs[row["seed"]])
+        out = tmp_path / f"{row['seed']}.mcap"
+        rerun(run, policy_of(run, str(weights[row["policy_seed"] - 1])), out)
+        again = metrics_row(run_metrics(out, scenario), scenario)
+        assert again.keys() == row.keys()
+        for name, value in again.items():
+            same = value == row[name] or (value in ("", "arc") or np.isnan(value))
+            assert same, (name, value, row[name])
+        assert again["policy_seed"] == row["policy_seed"]
+        assert again["seed"] == row["seed"]
 
 
 def test_weights_for_another_number_of_users(study: Path, tmp_path: Path) -> None:

@@ -19,11 +19,13 @@ from hiersched.runs.evaluate import evaluate
 from hiersched.runs.gain_points import GAIN_SWEEPS
 from hiersched.runs.gain_study import gain_study, gain_sweep
 from hiersched.runs.generalise import generalise
+from hiersched.runs.learned import learned_policies
 from hiersched.runs.policies import untrained_policies
 from hiersched.runs.sweep import sweep
 from hiersched.runs.variants import replaced
 from hiersched.scenario import Scenario
 from hiersched.scenario.schema import model_at
+from hiersched.study.metrics import measured_row
 
 # What these read is in the log as a copy of the scenario, or decides on file names alone.
 NOT_A_USE = {
@@ -81,6 +83,28 @@ def test_evaluation_reads_what_it_declares(tiny: Scenario, results: Path, reads:
     evaluate(tiny, results, "classical", untrained_policies)
     values = dependencies.evaluate_values(tiny, "classical")
     assert undeclared(set(reads), values) == {"evaluate.policies"}  # "policies": those of the group
+
+
+def test_a_learners_evaluation_reads_what_it_declares(
+    tiny: Scenario, results: Path, reads: set[str]
+) -> None:
+    """Measures of runs that are not logged are taken in the same job."""
+    from hiersched.runs.train import train_and_log
+
+    train_and_log(tiny, "ddpg", results, "code", show=False)
+    source = learned_policies([results / name for name in paths.policy_files(tiny, "ddpg")])
+    reads.clear()
+    evaluate(tiny, results, "ddpg", source, measured_row)
+    assert (results / paths.evaluation_crossed("ddpg")).is_file()
+    values = dependencies.evaluate_values(tiny, "ddpg")
+    assert undeclared(set(reads), values) == {"evaluate.policies"}
+
+
+def test_measures_depend_on_the_training_seeds_of_their_own_learner(tiny: Scenario) -> None:
+    more = replace(tiny, learning=replace(tiny.learning, seeds=(1, 2, 3)))
+    for group, same in (("ddpg", False), ("classical", True)):
+        values = [dependencies.measure_values(s, group) for s in (tiny, more)]
+        assert (values[0] == values[1]) == same
 
 
 @pytest.mark.parametrize("axis", list(dependencies.SWEPT_KEYS))

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from hiersched.core.randomness import world_keys
@@ -13,15 +14,20 @@ from hiersched.learning.policy import TrainedPolicy
 from hiersched.log import LogReader
 from hiersched.runs import paths
 from hiersched.runs import train as stage
+from hiersched.runs.crossed import slots_of
 from hiersched.runs.evaluate import evaluate
 from hiersched.runs.gains import load_gains
+from hiersched.runs.generalise import generalise
 from hiersched.runs.learned import learned_policies
+from hiersched.runs.logging import RunLabel
 from hiersched.runs.policies import run_worlds, seed_worlds
+from hiersched.runs.sweep import sweep
 from hiersched.runs.train import train_and_log
 from hiersched.scenario import Scenario
 from hiersched.scenario.schema import checkpoint_rounds
 from hiersched.simulator import Simulator
 from hiersched.simulator.loop_gains import LoopGains
+from hiersched.study.metrics import measured_row, metrics_row, run_metrics
 
 EPISODES, SLOTS = 6, 10
 
@@ -176,8 +182,100 @@ def test_world_i_runs_the_policy_of_training_seed_i(
         assert len(np.unique(logged["weight"])) > 2
 
 
+def test_every_policy_runs_in_every_world_and_one_a_world_is_logged(
+    tiny: Scenario, policies: list[Path], results: Path
+) -> None:
+    """The logs are those without the crossing; the others are measured as their logs would be."""
+    source = learned_policies(policies)
+    evaluate(tiny, results, "ddpg", source)
+    alone = {name: (results / name).read_bytes() for name in paths.evaluation_logs(tiny, "ddpg")}
+    evaluate(tiny, results, "ddpg", source, measured_row)
+    for name, content in alone.items():
+        assert (results / name).read_bytes() == content
+    rows = pd.read_csv(results / paths.evaluation_crossed("ddpg")).set_index(
+        ["policy_seed", "seed"]
+    )
+    assert sorted(rows.index) == [(1, 12), (2, 11), (2, 13)]
+    for index, file in enumerate(policies):
+        for place, seed in enumerate(tiny.evaluate.seeds):
+            if place % 2 == index:
+                continue
+            one = replace(tiny, evaluate=replace(tiny.evaluate, seeds=(seed,)))
+            evaluate(one, results, "ddpg", learned_policies([file]))
+            log = results / paths.evaluation_log("ddpg", seed)
+            expected = metrics_row(run_metrics(log, tiny), tiny)
+            got = rows.loc[(index + 1, seed)]
+            for name, value in expected.items():
+                if isinstance(value, float) and name in got:
+                    assert got[name] == value or (np.isnan(got[name]) and np.isnan(value)), name
+    assert rows["urllc_rate_mbps"].nunique() == 3
+
+
+@pytest.mark.parametrize("profile", ["full", "compact", "decisions"])
+def test_measures_in_memory_are_those_of_the_log(
+    tiny: Scenario, policies: list[Path], results: Path, profile: str
+) -> None:
+    logging = replace(tiny.log, evaluate_profile=profile)
+    worlds = replace(tiny.evaluate, warmup_s=0.05)
+    scenario = replace(tiny, log=logging, evaluate=worlds)
+    evaluate(scenario, results, "ddpg", learned_policies(policies[:1]))
+    _, gains = load_gains(results / "gains/schedule.json", scenario)
+    runnables = learned_policies(policies[:1])(scenario, "ddpg")
+    runs = run_worlds(scenario, gains, runnables, "evaluate", (11, 12, 13), 25, crossed=True)
+    for run in runs:
+        assert run.logged
+        label = RunLabel(stage="evaluate", policy="ddpg", seed=run.seed)
+        in_memory = measured_row(slots_of(scenario, label, run.after(5)), scenario)
+        path = results / paths.evaluation_log("ddpg", run.seed)
+        logged = metrics_row(run_metrics(path, scenario), scenario)
+        assert str(in_memory) == str(logged)  # NaN is NaN
+
+
+def test_sweeps_and_cells_are_crossed_too(
+    tiny: Scenario, policies: list[Path], results: Path
+) -> None:
+    cells = replace(tiny.generalise, cells=((1, 2, 4),), seeds=(41, 42), duration_s=0.05)
+    scenario = replace(tiny, generalise=cells)
+    source = learned_policies(policies)
+    sweep(scenario, results, "rayleigh_scale", "ddpg", source, measured_row)
+    generalise(scenario, results, "ddpg", source, measured_row)
+    names = paths.sweep_outputs(scenario, "rayleigh_scale", "ddpg")
+    assert names[-2:] == [f"sweep/rayleigh_scale/ddpg/{v}_crossed.csv" for v in ("0.5", "1")]
+    names += paths.cell_outputs(scenario, "ddpg")
+    assert set(names) <= {str(p.relative_to(results)) for p in results.rglob("*")}
+    for value in ("0.5", "1"):
+        table = pd.read_csv(results / f"sweep/rayleigh_scale/ddpg/{value}_crossed.csv")
+        places = table[["policy_seed", "seed", "stage", "axis", "value"]].to_numpy().tolist()
+        assert places == [[2, 21, "sweep", "rayleigh_scale", float(value)]]
+    table = pd.read_csv(results / "generalise/u1_e2_k4/ddpg/crossed.csv")
+    assert table[["policy_seed", "seed"]].to_numpy().tolist() == [[1, 42], [2, 41]]
+    measured = replace(scenario, evaluate=replace(scenario.evaluate, policies=("pf",)))
+    wanted = paths.measured_files(measured, "ddpg")
+    assert len(wanted) == len(set(wanted))
+    assert {name for name in wanted if name.endswith(".csv")} >= set(names[-1:])
+
+
+def test_measures_of_values_no_longer_asked_for_disappear(
+    tiny: Scenario, policies: list[Path], results: Path
+) -> None:
+    source = learned_policies(policies)
+    sweep(tiny, results, "rayleigh_scale", "ddpg", source, measured_row)
+    fewer = replace(tiny, sweeps=replace(tiny.sweeps, rayleigh_scale=(1.0,)))
+    sweep(fewer, results, "rayleigh_scale", "ddpg", source, measured_row)
+    left = {path.name for path in (results / "sweep/rayleigh_scale/ddpg").iterdir()}
+    assert left == {"1_seed21.mcap", "1_crossed.csv"}
+    one = replace(tiny, learning=replace(tiny.learning, seeds=(1,)))
+    assert not paths.is_crossed(one, "ddpg")
+    assert not paths.is_crossed(tiny, "pf")
+    assert paths.sweep_outputs(one, "rayleigh_scale", "ddpg") == paths.sweep_logs(
+        one, "rayleigh_scale", "ddpg"
+    )
+
+
 def test_fewer_worlds_than_policies(tiny: Scenario, trained: Path) -> None:
     source = learned_policies([trained / name for name in paths.policy_files(tiny, "ddpg")])
     gains = LoopGains.memoryless(np.zeros((tiny.max_delay_steps + 1, 2, 5)))
     runs = run_worlds(tiny, gains, source(tiny, "ddpg"), "evaluate", (5,), 2)
     assert [run.seed for run in runs] == [5]
+    runs = run_worlds(tiny, gains, source(tiny, "ddpg"), "evaluate", (5,), 2, crossed=True)
+    assert [(run.seed, run.logged) for run in runs] == [(5, True), (5, False)]

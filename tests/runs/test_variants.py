@@ -116,17 +116,21 @@ def test_no_two_logs_share_a_path(tiny: Scenario) -> None:
         *paths.policy_files(tiny, "ddpg"),
         *paths.gain_study_logs(tiny),
         *paths.all_gain_files(tiny),
-        *(name for group in ("classical", "ddpg") for name in paths.evaluation_logs(tiny, group)),
+        *(
+            name
+            for group in ("classical", "ddpg")
+            for name in paths.evaluation_outputs(tiny, group)
+        ),
         *(
             name
             for axis in SWEPT_KEYS
             for group in ("classical", "ddpg")
-            for name in paths.sweep_logs(tiny, axis, group)
+            for name in paths.sweep_outputs(tiny, axis, group)
         ),
     ]
     names += [name for axis in GAIN_SWEEPS for name in paths.gain_sweep_logs(tiny, axis)]
     gain_logs = 5 * 2 + (4 + 2 + 1) * 2 * 2
-    assert len(set(names)) == len(names) == 2 + 2 + gain_logs + 5 + 9 + 13 + (1 + 2) * 2
+    assert len(set(names)) == len(names) == 2 + 2 + gain_logs + 5 + 10 + 13 + 9 + (1 + 2) * 2
 
 
 def test_methods_on_one_plant_share_the_runs_with_the_nominal_gain(tiny: Scenario) -> None:

@@ -7,12 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from hiersched.control import Certificate, GainSchedule
+from hiersched.core.files import csv_text, write_bytes
 from hiersched.log import TOPICS, LogDims, LogWriter
 from hiersched.runs import paths
 from hiersched.runs.gain_points import GAIN_SWEEPS, GainPoint, gain_points
+from hiersched.runs.logged import RunSlots
 from hiersched.runs.variants import (
     SWEPT_KEYS,
     cell_text,
@@ -26,6 +29,7 @@ from hiersched.scenario.schema import checkpoint_rounds
 from hiersched.simulator.loop_gains import plant_of
 from hiersched.study.collect import write_measures
 from hiersched.study.fifo import backlog_path, deadline_in_slots, late_packets
+from hiersched.study.metrics import measured_row
 
 DIMS = LogDims(num_urllc=2, num_embb=1, num_prb=4)
 Fields = dict[str, Any]
@@ -179,25 +183,26 @@ def results(tmp_path_factory: pytest.TempPathFactory, tiny: Scenario) -> Path:
     """A results folder with every log of the tiny scenario."""
     folder: Path = tmp_path_factory.mktemp("results")
     for policy in tiny.evaluate.policies:
-        for seed in tiny.evaluate.seeds:
-            label = {"policy": policy, "seed": str(seed), "stage": "evaluate"}
-            path = folder / "eval" / policy / f"seed{seed}.mcap"
-            _write_log(path, _run(tiny, policy, seed), metadata=label)
+        label = {"policy": policy, "stage": "evaluate"}
+        files = {s: f"eval/{policy}/seed{s}.mcap" for s in tiny.evaluate.seeds}
+        crossed = paths.evaluation_crossed(policy)
+        _write_runs(folder, tiny, label, files, crossed, lambda seed: seed)
     for axis in SWEPT_KEYS:
         for policy in swept_policies(tiny, axis):
             for value in swept_values(tiny, axis):
-                for seed in tiny.sweeps.seeds:
-                    text = value if isinstance(value, str) else f"{value:g}"
-                    label = {"policy": policy, "seed": str(seed), "axis": axis, "value": text}
-                    path = folder / "sweep" / axis / policy / f"{text}_seed{seed}.mcap"
-                    _write_log(path, _run(tiny, policy, seed + _number_of(text)), metadata=label)
+                text = value if isinstance(value, str) else f"{value:g}"
+                label = {"policy": policy, "stage": "sweep", "axis": axis, "value": text}
+                files = {s: f"sweep/{axis}/{policy}/{text}_seed{s}.mcap" for s in tiny.sweeps.seeds}
+                crossed = paths.sweep_crossed(axis, policy, value)
+                shift = _number_of(text)
+                _write_runs(folder, tiny, label, files, crossed, lambda seed, k=shift: seed + k)
     for cell in tiny.generalise.cells:
         for policy in tiny.generalise.policies:
-            for seed in tiny.generalise.seeds:
-                label = {"policy": policy, "seed": str(seed), "axis": "cell"}
-                label["value"] = cell_text(cell)
-                path = folder / paths.cell_log(cell, policy, seed)
-                _write_log(path, _run(tiny, policy, seed + cell[2]), metadata=label)
+            label = {"policy": policy, "stage": "generalise", "axis": "cell"}
+            label["value"] = cell_text(cell)
+            files = {s: paths.cell_log(cell, policy, s) for s in tiny.generalise.seeds}
+            crossed = paths.cell_crossed(cell, policy)
+            _write_runs(folder, tiny, label, files, crossed, lambda seed, k=cell[2]: seed + k)
     _write_bound(folder, tiny)
     _write_gain_study(folder, tiny)
     for learner in tiny.learned:
@@ -214,6 +219,43 @@ def results(tmp_path_factory: pytest.TempPathFactory, tiny: Scenario) -> Path:
     for group in policy_groups(tiny):
         write_measures(folder, tiny, group)
     return folder
+
+
+def _write_runs(
+    folder: Path,
+    scenario: Scenario,
+    label: dict[str, str],
+    files: dict[int, str],
+    crossed: str,
+    numbered: Callable[[int], int],
+) -> None:
+    """Log a policy in its worlds; of a learner's two, world i under policy i, the others as rows.
+
+    The second policy of a learner serves each world as if it were another.
+    """
+    learning = scenario.learned.get(label["policy"])
+    policies: tuple[int | None, ...] = (None,) if learning is None else learning.seeds
+    rows = []
+    for place, (seed, name) in enumerate(files.items()):
+        for index, policy_seed in enumerate(policies):
+            fields = _run(scenario, label["policy"], numbered(seed) + 500 * index)
+            text = {**label, "seed": str(seed)}
+            if policy_seed is not None:
+                text["policy_seed"] = str(policy_seed)
+            if place % len(policies) == index:
+                _write_log(folder / name, fields, metadata=text)
+            else:
+                slots = RunSlots(
+                    source="planted",
+                    metadata=text,
+                    num_urllc=2,
+                    slot_s=0.01,
+                    warmup_slots=0,
+                    fields=fields,
+                )
+                rows.append(measured_row(slots, scenario))
+    if rows:
+        write_bytes(folder / crossed, csv_text(pd.DataFrame(rows)).encode())
 
 
 def _write_bound(folder: Path, scenario: Scenario) -> None:

@@ -133,6 +133,27 @@ def test_a_verdict_stands_where_halves_of_the_seeds_agree() -> None:
     assert verdict_of(claim(few), []) == "depends"  # without halvings: not reproduced
 
 
+def test_training_seeds_are_halved_with_all_worlds() -> None:
+    """Four policies in three worlds: by policies 1, 1, 1, -2.7; by worlds alone all agree.
+
+    Of three halvings each puts the outlier beside another, and their mean is below 0.
+    """
+    table = np.full((4, 3), 1.0)
+    table[3] = -2.7
+    rows = tuple(tuple(row) for row in table.tolist())
+    by_policy = Statement(
+        name="x", unit="1", interval=Interval(0.1, 0.1, 0.1), effect=1.0, values=rows, above=0.0
+    )
+    assert by_policy.count == 4
+    assert by_policy.claimed_by(np.arange(4))
+    assert by_policy.claimed_by(np.array([0, 1]))
+    assert not by_policy.claimed_by(np.array([2, 3]))
+    condition = Condition(axis="", value="", policy="ddpg", statements=(by_policy,))
+    assert condition.agreement == 0.0
+    by_world = replace(by_policy, values=tuple(zip(*rows, strict=True)))
+    assert replace(condition, statements=(by_world,)).agreement == 1.0
+
+
 def test_halves_of_ratios_are_of_logarithms() -> None:
     ratio = Statement(
         name="x",
@@ -357,11 +378,11 @@ def test_both_files_say_the_same(results: Path, tiny: Scenario, project_root: Pa
         assert f"**{claim['verdict']}**" in row
     rate = claims[8]["base"]["statements"][0]
     runs = pd.read_csv(results / "tables/runs.csv")
-    by_policy = runs[runs["stage"] == "evaluate"].pivot(
-        index="seed", columns="policy", values="urllc_rate_mbps"
-    )
-    typical = np.exp(np.log(by_policy["ddpg"] / by_policy["pf"]).mean())
-    assert rate["estimate"] == pytest.approx(typical)
+    by_world = runs[runs["stage"] == "evaluate"].set_index(["policy", "seed"])["urllc_rate_mbps"]
+    logs = np.log(by_world["ddpg"] / by_world["pf"])
+    assert len(logs) == 2 * 3  # two policies in three worlds each
+    assert rate["estimate"] == pytest.approx(np.exp(logs.mean()))
+    assert rate["seeds"] == 2
     assert 0.0 <= claims[8]["halvings_that_agree"] <= 1.0
     loads = [run["value"] for run in claims[9]["sensitivity"] if run["axis"] == "traffic.load"]
     assert loads == ["0.85", "1.0"]

@@ -1,7 +1,8 @@
 """How often intervals of a mean hold it, by simulation, and what that costs in width.
 
-Ten worlds each, the seed of the draws the first one tried. An interval that holds the mean in a
-share c of all samples is counted at c +- 4 sqrt(c (1 - c) / samples) but for 1 run in 16 000.
+Ten worlds each, and ten policies in each of them where policies are crossed with worlds, the seed
+of the draws the first one tried. An interval that holds the mean in a share c of all samples is
+counted at c +- 4 sqrt(c (1 - c) / samples) but for 1 run in 16 000.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from hiersched.study.lognormal import MOST_OVER_MEAN, mean_bounds
+from hiersched.study.lognormal import MOST_OVER_MEAN, crossed_bounds, mean_bounds
 from hiersched.study.statistics import Interval, mean_interval, skewed_interval
 
 SPREAD = 1.6
@@ -118,6 +119,82 @@ def test_values_about_normal_are_covered_as_closely_as_by_t() -> None:
     assert pivotal.width == pytest.approx(student.width, rel=0.03)
 
 
+POLICIES = 10
+CROSSED_SAMPLES = 1500
+
+
+def crossed(parts: tuple[float, float, float], count: int, spread: float = SPREAD) -> FloatArray:
+    """Draw logarithms whose variance has these shares of policies, worlds and pairs."""
+    rng = np.random.default_rng(1)
+    shapes = ((count, POLICIES, 1), (count, 1, WORLDS), (count, POLICIES, WORLDS))
+    draws = (
+        math.sqrt(part) * rng.normal(size=shape) for part, shape in zip(parts, shapes, strict=True)
+    )
+    return spread * sum(draws)
+
+
+@pytest.mark.parametrize(
+    ("parts", "ratio", "width"),
+    [
+        ((0.5, 0.5, 0.0), 35.0, 12.0),
+        ((1.0, 0.0, 0.0), 56.0, 18.0),
+        ((0.0, 1.0, 0.0), 56.0, 18.0),
+        ((0.4, 0.4, 0.2), 24.0, 9.0),
+        ((0.0, 0.0, 1.0), 5.0, 2.4),
+    ],
+)
+def test_shares_of_policies_crossed_with_worlds_are_covered(
+    parts: tuple[float, float, float], ratio: float, width: float
+) -> None:
+    """Of half and half the width is two thirds of that of ten worlds, each of its own policy."""
+    samples = np.exp(crossed(parts, CROSSED_SAMPLES))
+    mean = math.exp(0.5 * SPREAD**2)
+    pivotal = coverage(samples, mean, skewed_interval)
+    assert pivotal.inside >= 0.93
+    assert pivotal.too_low <= 0.025 + error(0.025, CROSSED_SAMPLES)
+    assert pivotal.ratio == pytest.approx(ratio, rel=0.15)
+    assert pivotal.width == pytest.approx(width, rel=0.15)
+    if parts[2] == 0.0:  # as one of 100 values would be, or of the worlds alone
+        assert coverage(samples[:300], mean, lambda x: skewed_interval(x.ravel())).inside < 0.6
+    if parts[0] == 0.5:
+        for axis in (0, 1):
+            alone = coverage(samples[:300], mean, lambda x, a=axis: skewed_interval(x.mean(axis=a)))
+            assert alone.inside < 0.9
+
+
+@pytest.mark.parametrize("where", ["policies", "worlds", "pairs"])
+def test_zeros_of_policies_worlds_and_pairs_are_covered(where: str) -> None:
+    """Three in ten are 0, and half of the logarithms' variance is each of both."""
+    count = 400
+    samples = np.exp(crossed((0.5, 0.5, 0.0), count))
+    shape = {"policies": (POLICIES, 1), "worlds": (1, WORLDS), "pairs": (POLICIES, WORLDS)}[where]
+    samples *= np.random.default_rng(2).random((count, *shape)) >= 0.3
+    mean = 0.7 * math.exp(0.5 * SPREAD**2)
+    pivotal = coverage(samples, mean, skewed_interval)
+    assert pivotal.inside >= 0.93
+    assert pivotal.too_low <= 0.025 + error(0.025, count)
+
+
+@pytest.mark.parametrize(
+    ("parts", "most"),
+    [
+        ((0.5, 0.5, 0.0), 0.95),
+        ((1.0, 0.0, 0.0), 0.95),
+        ((0.0, 1.0, 0.0), 0.95),
+        ((1 / 3, 1 / 3, 1 / 3), 0.96),
+        ((0.0, 0.0, 1.0), 0.993),
+    ],
+)
+def test_means_of_policies_crossed_with_worlds_are_covered(
+    parts: tuple[float, float, float], most: float
+) -> None:
+    """Student's t: what is of pairs alone counts twice, which covers more, never less."""
+    samples = crossed(parts, SAMPLES, 1.0)
+    lo, hi = np.array([mean_interval(sample)[1:] for sample in samples]).T
+    inside = float(((lo <= 0.0) & (hi >= 0.0)).mean())
+    assert 0.95 - error(0.95) <= inside <= most + error(most)
+
+
 def draws_of_the_mean(positive: FloatArray, zeros: int, count: int = 200_000) -> FloatArray:
     """Draw the generalised pivotal quantity of the mean, as its papers do."""
     rng = np.random.default_rng(1)
@@ -177,3 +254,39 @@ def test_estimate_lies_within_its_bounds() -> None:
     sample = np.array([0.2, 0.21, 0.19, 0.2, 0.2, 0.2, 0.2, 0.2, 0.2, 1e-9])
     assert mean_bounds(sample, 0, 0.95)[0] > sample.mean()
     assert skewed_interval(sample, most=1.0) == Interval(sample.mean(), sample.mean(), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("spreads", "zeros", "exact"),
+    [
+        ((1.1, 1.1, 0.2), (0, 0), True),
+        ((1.6, 0.1, 0.0), (0, 0), True),
+        ((0.05, 0.01, 0.01), (0, 0), True),
+        ((1.1, 1.1, 0.2), (3, 0), True),
+        ((1.1, 1.1, 0.2), (3, 4), True),
+        ((0.01, 0.01, 0.01), (5, 0), False),
+    ],
+)
+def test_crossed_bounds_are_the_quantiles_of_drawn_means(
+    spreads: tuple[float, float, float], zeros: tuple[int, int], exact: bool
+) -> None:
+    """Where values are all but equal beside zeros, the bounds leave out less than they should."""
+    rng = np.random.default_rng(5)
+    shapes = ((POLICIES, 1), (1, WORLDS), (POLICIES, WORLDS))
+    values = np.exp(sum(s * rng.normal(size=n) for s, n in zip(spreads, shapes, strict=True)))
+    values[: zeros[0]], values[:, : zeros[1]] = 0.0, 0.0
+    drawn = sum(
+        drawn_of(values.mean(axis=axis), number) for axis, number in ((1, 1), (0, 2))
+    ) - math.log(values.mean())
+    for bound, tail in zip(crossed_bounds(values, 0.95), (0.025, 0.975), strict=True):
+        below = float((drawn < math.log(bound)).mean())
+        beyond, wanted = (below, tail) if tail < 0.5 else (1.0 - below, 1.0 - tail)
+        assert beyond <= wanted + 0.003
+        assert not exact or beyond >= wanted - 0.003
+
+
+def drawn_of(sample: FloatArray, seed: int) -> FloatArray:
+    """Logarithms of drawn means of a sample with zeros, independent of those of other seeds."""
+    positive = sample[sample > 0.0]
+    drawn = draws_of_the_mean(positive, len(sample) - len(positive))
+    return np.random.default_rng(seed).permutation(drawn)

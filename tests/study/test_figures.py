@@ -169,7 +169,7 @@ def test_violation_figure_shows_the_table_and_the_allowed_share(
     floor = axes.get_xticks()[0]
     for policy in tiny.evaluate.policies:
         share = table.loc[policy, "urllc_late_share"]
-        assert drawn[rows[policy_look(policy).label]] == pytest.approx(max(share, floor))
+        assert drawn[rows[policy_look(policy, tiny).label]] == pytest.approx(max(share, floor))
     verticals = [line.get_xdata()[0] for line in axes.get_lines()]
     assert any(x == pytest.approx(0.05) for x in verticals)
 

@@ -177,7 +177,7 @@ def test_many_seeds_are_halved_in_a_thousand_different_ways(count: int) -> None:
     )
 
 
-@pytest.mark.parametrize("values", [[], [[1.0]]])
+@pytest.mark.parametrize("values", [[], [[[1.0]]]])
 def test_a_sample_of_another_shape_is_refused(values: list[object]) -> None:
     with pytest.raises(ValueError, match="shape"):
         mean_interval(np.array(values, dtype=float))
@@ -206,3 +206,92 @@ def test_effect_size_is_the_t_statistic_over_root_n() -> None:
     assert effect_size([2.0, 2.0]) == math.inf
     assert effect_size([0.0, 0.0]) == 0.0
     assert math.isnan(effect_size([1.0]))
+
+
+C = np.array([[1.0, 2.0, 4.0], [3.0, 5.0, 9.0]])
+"""Two policies in three worlds."""
+
+
+def test_a_crossed_interval_by_hand() -> None:
+    """Means of policies 7/3 and 17/3, of worlds 2, 3.5 and 6.5; variances 50/9 and 21/4."""
+    mean, lo, hi = mean_interval(C)
+    of_policies, of_worlds = 50.0 / 9.0 / 2.0, 21.0 / 4.0 / 3.0
+    freedom = (of_policies + of_worlds) ** 2 / (of_policies**2 + of_worlds**2 / 2.0)
+    half = stats.t.ppf(0.975, freedom) * math.sqrt(of_policies + of_worlds)
+    assert (mean, lo, hi) == pytest.approx((4.0, 4.0 - half, 4.0 + half))
+    assert mean_interval(C.T) == pytest.approx((mean, lo, hi))
+
+
+def test_policies_that_are_all_alike_are_a_rule() -> None:
+    alike = np.tile(A, (3, 1))
+    for interval in (mean_interval, skewed_interval):
+        assert interval(alike) == pytest.approx(interval(A))
+        assert interval(alike.T) == pytest.approx(interval(A))
+    assert mean_interval(np.full((3, 4), 0.1)) == (pytest.approx(0.1),) * 3
+    assert skewed_interval(np.full((3, 4), 0.1)) == (pytest.approx(0.1),) * 3
+
+
+def test_a_single_policy_or_world_adds_no_part() -> None:
+    for interval in (mean_interval, skewed_interval):
+        assert interval(A[None]) == interval(A)
+        assert interval(A[:, None]) == interval(A)
+    assert np.isnan(mean_interval([[1.0]])[1:]).all()
+    assert paired_difference(A[None], B) == paired_difference(A, B)
+
+
+def test_crossed_values_are_paired_by_world_within_each_policy() -> None:
+    baseline = np.array([1.0, 2.0, 4.0])
+    assert paired_difference(C, baseline) == mean_interval(C - baseline)
+    logs = mean_interval(np.log(C / baseline))
+    assert paired_log_ratio(C, baseline) == pytest.approx(tuple(np.exp(logs)))
+    assert paired_log_ratio(baseline, C).mean == pytest.approx(math.exp(-logs.mean))
+    assert log_ratios(C, baseline).shape == (2, 3)
+    assert paired_difference(C, C + 1.0) == pytest.approx((-1.0, -1.0, -1.0))
+    with pytest.raises(ValueError, match="2 by 3 values against 2 of the baseline"):
+        paired_difference(C, [1.0, 2.0])
+    with pytest.raises(ValueError, match="2 by 3 values against 3 by 3"):
+        paired_difference(C, np.ones((3, 3)))
+
+
+def test_zeros_of_all_policies_in_all_worlds_have_the_bound_of_the_fewer() -> None:
+    """Of 4 policies in 10 worlds 4 pairs share neither, and so are independent."""
+    bound = skewed_interval(np.zeros((4, 10)), resolution=2e-5)
+    assert bound == (0.0, 0.0, smallest_mean(4, 2e-5))
+    one = np.zeros((4, 10))
+    one[2, 3] = 1e-5
+    mean, lo, hi = skewed_interval(one, resolution=1e-5, most=1.0)
+    assert (mean, lo) == (pytest.approx(1e-5 / 40.0), 0.0)
+    assert smallest_mean(4, 1e-5) < hi < 1.0
+
+
+def test_a_missing_crossed_value_leaves_no_interval() -> None:
+    hole = C.copy()
+    hole[1, 1] = math.nan
+    for interval in (mean_interval, skewed_interval):
+        assert np.isnan(interval(hole)).all()
+    assert math.isnan(effect_size(hole))
+
+
+def test_the_spread_of_a_pair_is_of_all_three_parts() -> None:
+    """By simulation: the variance is 1 + 4 + 9; the mean of its estimates is that."""
+    rng = np.random.default_rng(1)
+    spreads = []
+    for _ in range(4000):
+        parts = rng.normal(size=(4, 1)), 2.0 * rng.normal(size=(1, 5)), rng.normal(size=(4, 5))
+        table = parts[0] + parts[1] + 3.0 * parts[2]
+        spreads.append((table.mean() / effect_size(table)) ** 2)
+    assert np.mean(spreads) == pytest.approx(14.0, abs=4.0 * np.std(spreads) / math.sqrt(4000))
+
+
+def test_probability_of_improvement_of_crossed_values_draws_policies_and_worlds() -> None:
+    """Half of the policies are always better: resampled policies decide, whatever the worlds."""
+    own = np.repeat([0.0, 2.0], 5)[:, None] + np.zeros(10)
+    got = probability_of_improvement(own, np.ones(10))
+    shares = stats.binom.ppf([0.025, 0.975], 10, 0.5) / 10.0
+    assert got == pytest.approx((0.5, *shares))
+    assert probability_of_improvement(own.T, np.ones(10)) == pytest.approx(got, abs=0.1)
+    other = probability_of_improvement(np.ones((10, 10)), own[:, 0])
+    assert other == pytest.approx(got, abs=0.1)
+    assert probability_of_improvement(C, [2.0, 4.0]).mean == pytest.approx(
+        np.mean([[x < b, x == b] @ np.array([1.0, 0.5]) for x in C.ravel() for b in (2.0, 4.0)])
+    )

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -37,7 +38,11 @@ def test_policies_have_means_medians_and_the_interval_that_suits_a_measure(
     table = tables["policies"].set_index("policy")
     assert list(table.index) == ["ddpg", "pf", "drift_plus_penalty", "flat"]
     assert (table["seeds"] == 3).all()
-    for policy in table.index:
+    assert table["training_seeds"].to_dict() == {
+        **{"ddpg": 2, "flat": 2},
+        **{"pf": 0, "drift_plus_penalty": 0},
+    }
+    for policy in ("pf", "drift_plus_penalty"):
         logs = [results / "eval" / policy / f"seed{s}.mcap" for s in tiny.evaluate.seeds]
         runs = [run_metrics(log, tiny) for log in logs]
 
@@ -60,6 +65,83 @@ def test_policies_have_means_medians_and_the_interval_that_suits_a_measure(
             least = 4.0 / min(getattr(run, f"{part}_due_packets") for run in runs)
             interval = skewed_interval(values, resolution=least, most=1.0)[1:]
             check(f"{part}_late_share", interval, policy, values)
+
+
+def crossed(tables: dict[str, pd.DataFrame], policy: str, name: str) -> np.ndarray:
+    """A measure of the evaluation, training seeds by worlds."""
+    runs = tables["runs"].query("stage == 'evaluate' and policy == @policy")
+    return runs.pivot(index="policy_seed", columns="seed", values=name).to_numpy()
+
+
+def by_world(tables: dict[str, pd.DataFrame], policy: str, name: str) -> np.ndarray:
+    """A measure of the evaluation of a rule, by world."""
+    return tables["runs"].query("stage == 'evaluate' and policy == @policy")[name].to_numpy()
+
+
+def crossed_t(values: np.ndarray) -> list[float]:
+    """By hand: mean and interval of policies crossed with worlds, Satterthwaite's freedom."""
+    (policies, worlds), mean = values.shape, values.mean()
+    a = ((values.mean(axis=1) - mean) ** 2).sum() / (policies - 1) / policies
+    b = ((values.mean(axis=0) - mean) ** 2).sum() / (worlds - 1) / worlds
+    freedom = (a + b) ** 2 / (a**2 / (policies - 1) + b**2 / (worlds - 1))
+    half = stats.t.ppf(0.975, freedom) * math.sqrt(a + b)
+    return [mean, mean - half, mean + half]
+
+
+def test_learned_policies_are_crossed_with_worlds(tables: dict[str, pd.DataFrame]) -> None:
+    table = tables["policies"].set_index("policy")
+    for name in SYMMETRIC:
+        row = table.loc["ddpg", [name, f"{name}_lo", f"{name}_hi"]].tolist()
+        assert row == pytest.approx(crossed_t(crossed(tables, "ddpg", name)))
+    for name in SKEWED:
+        values = crossed(tables, "ddpg", name)
+        row = table.loc["ddpg", [name, f"{name}_lo", f"{name}_hi"]].tolist()
+        assert row == pytest.approx(skewed_interval(values)), name
+        assert row != pytest.approx(skewed_interval(values.ravel())), name
+        assert table.loc["ddpg", f"{name}_median"] == pytest.approx(np.median(values))
+
+
+def test_runs_say_whose_policy_in_which_world_and_whether_there_is_a_log(
+    tables: dict[str, pd.DataFrame], results: Path, tiny: Scenario
+) -> None:
+    runs = tables["runs"]
+    assert list(runs.columns[:4]) == ["policy", "policy_seed", "seed", "logged"]
+    rules = runs[runs["policy"].isin(["pf", "drift_plus_penalty"])]
+    assert rules["policy_seed"].isna().all()
+    assert rules["logged"].all()
+    learned = runs[~runs["policy"].isin(["pf", "drift_plus_penalty"])]
+    for _, group in learned.groupby(["stage", "policy", "axis", "value"], dropna=False):
+        assert group["policy_seed"].tolist() == [1, 1, 1, 2, 2, 2]
+        assert group["logged"].tolist() == [True, False, True, False, True, False]
+    own = learned.query("stage == 'evaluate' and policy == 'ddpg' and logged")
+    for row in own.itertuples():
+        with LogReader(results / f"eval/ddpg/seed{row.seed}.mcap") as log:
+            assert log.metadata["policy_seed"] == str(int(row.policy_seed))
+    written = pd.read_csv(results / "eval/ddpg/crossed.csv")
+    read = learned.query("stage == 'evaluate' and policy == 'ddpg' and not logged")
+    for name in (*SYMMETRIC, *SKEWED):
+        assert sorted(read[name]) == sorted(written[name])  # to the last bit
+
+
+@pytest.mark.parametrize("fault", ["missing", "twice", "other"])
+def test_measures_of_other_pairs_are_refused(
+    results: Path, tiny: Scenario, tmp_path: Path, fault: str
+) -> None:
+    shutil.copytree(results, tmp_path / "results")
+    path = tmp_path / "results/eval/ddpg/crossed.csv"
+    rows = pd.read_csv(path)
+    if fault == "missing":
+        rows = rows[:-1]
+    elif fault == "twice":
+        rows = pd.concat([rows, rows[:1]])
+    else:
+        rows.loc[0, "policy_seed"] = 3
+    rows.to_csv(path, index=False)
+    with pytest.raises(ValueError, match=r"evaluate .* ddpg: not each .* seeds 1, 2 once in each"):
+        measure_group(tmp_path / "results", tiny, "ddpg")
+    path.unlink()
+    with pytest.raises(FileNotFoundError, match=r"crossed\.csv"):
+        measure_group(tmp_path / "results", tiny, "ddpg")
 
 
 def late_runs(scenario: Scenario, samples: dict[str, list[float]]) -> pd.DataFrame:
@@ -115,7 +197,7 @@ def test_notes_say_what_the_learned_policys_interval_mixes(
     tables: dict[str, pd.DataFrame], results: Path, name: str
 ) -> None:
     text = (results / "tables" / f"{name}.md").read_text()
-    assert "mix training seed and world" in text
+    assert "every trained policy in every world" in text
 
 
 def test_csv_numbers_read_back_to_the_same_bits(
@@ -170,23 +252,24 @@ def test_comparison_is_paired_with_pf(
 ) -> None:
     table = tables["comparison"].query("baseline == 'pf'").set_index(["policy", "measure"])
     assert set(table.index.get_level_values(0)) == {"ddpg", "drift_plus_penalty", "flat"}
-    runs = {
-        policy: [
-            run_metrics(results / "eval" / policy / f"seed{s}.mcap", tiny)
-            for s in tiny.evaluate.seeds
-        ]
-        for policy in ("ddpg", "pf")
-    }
-    own, baseline = (np.array([run.urllc_late_share for run in r]) for r in runs.values())
+    pf = [run_metrics(results / "eval" / "pf" / f"seed{s}.mcap", tiny) for s in tiny.evaluate.seeds]
+    own = crossed(tables, "ddpg", "urllc_late_share")
+    baseline = np.array([run.urllc_late_share for run in pf])
     row = table.loc[("ddpg", "urllc_late_share")]
-    low, high = stats.ttest_rel(own, baseline).confidence_interval(0.95)
-    assert [row["difference_lo"], row["difference_hi"]] == pytest.approx([low, high])
+    expected = crossed_t(own - baseline)  # world by world within each policy
+    assert row[["difference", "difference_lo", "difference_hi"]].tolist() == pytest.approx(expected)
     assert row["seeds_below_baseline"] == (own < baseline).sum()
-    logs = [np.log([run.mean_square_backlog for run in r]) for r in runs.values()]
+    assert (row["seeds"], row["training_seeds"]) == (3, 2)
+    own = crossed(tables, "ddpg", "mean_square_backlog")
+    expected = crossed_t(np.log(own) - np.log([run.mean_square_backlog for run in pf]))
     row = table.loc[("ddpg", "mean_square_backlog")]
-    assert row["ratio"] == pytest.approx(np.exp(np.mean(logs[0] - logs[1])))
-    bounds = stats.ttest_rel(*logs).confidence_interval(0.95)
-    assert [row["ratio_lo"], row["ratio_hi"]] == pytest.approx(np.exp([*bounds]))
+    assert row[["ratio", "ratio_lo", "ratio_hi"]].tolist() == pytest.approx(np.exp(expected))
+    rule = table.loc[("drift_plus_penalty", "mean_square_backlog")]
+    other = by_world(tables, "drift_plus_penalty", "mean_square_backlog")
+    bounds = stats.ttest_rel(
+        np.log(other), np.log([run.mean_square_backlog for run in pf])
+    ).confidence_interval(0.95)
+    assert [rule["ratio_lo"], rule["ratio_hi"]] == pytest.approx(np.exp([*bounds]).tolist())
 
 
 def test_sweeps_have_every_axis_value_and_policy(
@@ -301,9 +384,8 @@ def test_policies_say_how_they_stand_against_the_best_classical(
     assert table.loc["ddpg", "improvement"] == pytest.approx(0.5 - 0.5 * above.mean())
     assert table.loc[best, "improvement"] == 0.5
     over = table.loc["ddpg", [f"backlog_over_best{end}" for end in ("", "_lo", "_hi")]]
-    logarithms = np.log(backlog["ddpg"] / backlog[best])
-    bounds = stats.ttest_1samp(logarithms, 0.0).confidence_interval(0.95)
-    assert over.tolist() == pytest.approx(np.exp([logarithms.mean(), *bounds]).tolist())
+    logarithms = np.log(crossed(tables, "ddpg", BACKLOG) / backlog[best])
+    assert over.tolist() == pytest.approx(np.exp(crossed_t(logarithms)).tolist())
     assert table.loc[best, "backlog_over_best"] == 1.0
     against = tables["comparison"].query("baseline == @best and policy == 'ddpg'")
     assert len(against) == len(tables["comparison"].query("baseline == 'pf' and policy == 'ddpg'"))
@@ -364,11 +446,11 @@ def test_generalisation_is_paired_with_the_best_scheduler_there(
     own = table[table["policy"] == table["best_classical"]]
     assert (own["backlog_over_best"] == 1.0).all()
     rows = tables["runs"].query("axis == 'cell' and value == 'u2_e1_k6'")
-    logs = np.log(rows.pivot(index="seed", columns="policy", values="mean_square_backlog"))
     row = table.query("value == 'u2_e1_k6' and policy == 'ddpg'").iloc[0]
-    low, high = stats.ttest_rel(logs["ddpg"], logs[row["best_classical"]]).confidence_interval(0.95)
+    own = rows[rows["policy"] == "ddpg"].pivot(index="policy_seed", columns="seed", values=BACKLOG)
+    best = rows[rows["policy"] == row["best_classical"]][BACKLOG].to_numpy()
     bounds = [row["backlog_over_best_lo"], row["backlog_over_best_hi"]]
-    assert bounds == pytest.approx(np.exp([low, high]).tolist())
+    assert bounds == pytest.approx(np.exp(crossed_t(np.log(own.to_numpy() / best))[1:]).tolist())
 
 
 def test_bound_table_has_the_planted_gaps(tables: dict[str, pd.DataFrame]) -> None:

@@ -65,6 +65,7 @@ def outputs(scenario: Scenario) -> list[str]:
         *(name for learner in scenario.learned for name in paths.policy_files(scenario, learner)),
         *paths.all_logs(scenario),
         *(name for group in GROUPS for name in paths.evaluation_outputs(scenario, group)),
+        *(name for group in GROUPS for name in paths.measured_files(scenario, group)),
         *paths.measures_files(scenario),
         paths.RUNS,
         paths.BOUND,

@@ -43,7 +43,7 @@ for s in SCENARIOS:
                     gains=inside(s, paths.swept_gain_files(s, axis)),
                     policies=weights(s, group),
                 output:
-                    whole(inside(s, paths.sweep_logs(s, axis, group))),
+                    whole(inside(s, paths.sweep_outputs(s, axis, group))),
                 log:
                     f"{folder(s)}/logs/sweep_{axis}_{group}.log",
                 benchmark:
@@ -72,7 +72,7 @@ for s in SCENARIOS:
                 gains=f"{folder(s)}/{paths.gain_file('schedule')}",
                 policies=weights(s, group),
             output:
-                whole(inside(s, paths.cell_logs(s, group))),
+                whole(inside(s, paths.cell_outputs(s, group))),
             log:
                 f"{folder(s)}/logs/generalise_{group}.log",
             benchmark:

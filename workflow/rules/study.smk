@@ -1,4 +1,4 @@
-# Measures of every run, from its log alone; tables and figures, from measures, logs and stability regions.
+# Measures of every run, from its log or as its job took them; tables and figures, from measures, logs and stability regions.
 
 for s in SCENARIOS:
     for group in groups_that_run(s):
@@ -8,7 +8,7 @@ for s in SCENARIOS:
                 f"measure_{group}_{s.name}"
             input:
                 kernels=KERNELS,
-                logs=inside(s, paths.measured_logs(s, group)),
+                runs=inside(s, paths.measured_files(s, group)),
             output:
                 ensure(f"{folder(s)}/{paths.measures_file(group)}", non_empty=True),
             log:

@@ -7,6 +7,7 @@ from hiersched.runs import paths
 from hiersched.runs.evaluate import evaluate
 from hiersched.runs.learned import learned_policies
 from hiersched.scenario import load_scenario
+from hiersched.study.metrics import measured_row
 
 
 def main() -> None:
@@ -17,7 +18,7 @@ def main() -> None:
     args = parser.parse_args()
     scenario = load_scenario(args.scenario)
     files = [args.results / name for name in paths.policy_files(scenario, args.learner)]
-    evaluate(scenario, args.results, args.learner, learned_policies(files))
+    evaluate(scenario, args.results, args.learner, learned_policies(files), measured_row)
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from hiersched.runs.learned import learned_policies
 from hiersched.runs.sweep import sweep
 from hiersched.runs.variants import SWEPT_KEYS
 from hiersched.scenario import load_scenario
+from hiersched.study.metrics import measured_row
 
 
 def main() -> None:
@@ -19,7 +20,7 @@ def main() -> None:
     args = parser.parse_args()
     scenario = load_scenario(args.scenario)
     files = [args.results / name for name in paths.policy_files(scenario, args.learner)]
-    sweep(scenario, args.results, args.axis, args.learner, learned_policies(files))
+    sweep(scenario, args.results, args.axis, args.learner, learned_policies(files), measured_row)
 
 
 if __name__ == "__main__":

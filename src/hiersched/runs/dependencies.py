@@ -277,6 +277,8 @@ def measure_values(scenario: Scenario, group: str) -> dict[str, Any]:
     for section in ("evaluate", "generalise"):
         policies = group_policies(scenario, getattr(scenario, section).policies, group)
         values[f"policies of {section}"] = list(policies)
+    if group in scenario.learned:
+        values["training seeds"] = list(scenario.learned[group].seeds)
     return values
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from hiersched.runs import paths
+from hiersched.runs.crossed import CrossedRows, Measure
 from hiersched.runs.gains import load_gains
 from hiersched.runs.logging import RunLabel, clear_logs, write_log
 from hiersched.runs.policies import PolicySource, run_worlds, world_slots
@@ -12,7 +13,13 @@ from hiersched.runs.variants import cell_scenario, cell_text, group_policies
 from hiersched.scenario import Scenario
 
 
-def generalise(scenario: Scenario, results: Path, group: str, source: PolicySource) -> None:
+def generalise(
+    scenario: Scenario,
+    results: Path,
+    group: str,
+    source: PolicySource,
+    measure: Measure | None = None,
+) -> None:
     """Run and log a group of policies in every cell.
 
     Parameters
@@ -25,6 +32,8 @@ def generalise(scenario: Scenario, results: Path, group: str, source: PolicySour
         Which policies: one of `variants.policy_groups`.
     source
         Where they are found by name.
+    measure
+        What measures the runs that are not logged (see `crossed`); without it they are not made.
     """
     seeds = scenario.generalise.seeds
     num_slots, warmup_slots = world_slots(scenario.generalise, scenario.radio.slot_s)
@@ -36,16 +45,24 @@ def generalise(scenario: Scenario, results: Path, group: str, source: PolicySour
         schedule, gains = load_gains(results / paths.gain_file("schedule"), variant)
         policies = group_policies(scenario, scenario.generalise.policies, group)
         for policy in policies:
+            crossed = CrossedRows(measure, variant)
             for world in run_worlds(
-                variant, gains, source(variant, policy), "generalise", seeds, num_slots
+                variant,
+                gains,
+                source(variant, policy),
+                "generalise",
+                seeds,
+                num_slots,
+                crossed=crossed.wanted,
             ):
                 point = {"axis": "cell", "value": cell_text(cell)}
-                write_log(
-                    results / paths.cell_log(cell, policy, world.seed),
-                    variant,
-                    schedule,
-                    RunLabel(stage="generalise", policy=policy, seed=world.seed, **point),
-                    world.after(warmup_slots),
-                    profile=scenario.log.sweep_profile,
-                )
+                label = RunLabel(stage="generalise", policy=policy, seed=world.seed, **point)
+                measured = world.after(warmup_slots)
+                if not world.logged:
+                    crossed.add(label, measured)
+                    continue
+                path = results / paths.cell_log(cell, policy, world.seed)
+                profile = scenario.log.sweep_profile
+                write_log(path, variant, schedule, label, measured, profile=profile)
+            crossed.write(results / paths.cell_crossed(cell, policy))
         print(f"generalise {cell_text(cell)}: {', '.join(policies)}", flush=True)

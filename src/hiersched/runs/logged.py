@@ -205,6 +205,8 @@ class RunSlots:
 
     Attributes
     ----------
+    source
+        The log, or the name of a run that has none.
     metadata
         That of the log.
     num_urllc
@@ -217,6 +219,7 @@ class RunSlots:
         Name -> values, leading axis (T,).
     """
 
+    source: str | os.PathLike[str]
     metadata: dict[str, str]
     num_urllc: int
     slot_s: float
@@ -266,6 +269,7 @@ def read_slots(path: str | os.PathLike[str], names: Sequence[str]) -> RunSlots:
         fields.pop("slot", None)
         metadata, num_urllc, slot_s = log.metadata, log.dims.num_urllc, log.slot_ns * 1e-9
     return RunSlots(
+        source=path,
         metadata=metadata,
         num_urllc=num_urllc,
         slot_s=slot_s,

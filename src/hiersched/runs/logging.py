@@ -208,7 +208,8 @@ def slice_fields(
 
 
 def clear_logs(folder: Path, keep: set[Path]) -> None:
-    """Remove the logs of a folder that are not among `keep`: nobody asks for them any more."""
-    for path in folder.glob("*.mcap*"):
-        if path not in keep:
-            path.unlink()
+    """Remove logs and measures of a folder that are not among `keep`: nobody asks for them now."""
+    for pattern in ("*.mcap*", "*crossed.csv"):
+        for path in folder.glob(pattern):
+            if path not in keep:
+                path.unlink()

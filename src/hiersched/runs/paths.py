@@ -91,6 +91,19 @@ def measured_logs(scenario: Scenario, group: str) -> list[str]:
     return names
 
 
+def measured_files(scenario: Scenario, group: str) -> list[str]:
+    """List logs, and measures of runs without one, from which the measures of a group come."""
+    names = [*measured_logs(scenario, group), *evaluation_crosses(scenario, group)]
+    for axis in SWEPT_KEYS:
+        names += sweep_crosses(scenario, axis, group)
+    return [*names, *cell_crosses(scenario, group)]
+
+
+def is_crossed(scenario: Scenario, policy: str) -> bool:
+    """Whether a policy is several, one a training seed, of which one a world is logged."""
+    return policy in scenario.learned and len(scenario.learned[policy].seeds) > 1
+
+
 def gain_file(design: str) -> str:
     """Gain schedule by its name among `gain_designs`."""
     return f"gains/{design}.json"
@@ -170,6 +183,11 @@ def evaluation_logs(scenario: Scenario, group: str) -> list[str]:
     ]
 
 
+def evaluation_crossed(policy: str) -> str:
+    """Measures of a learner's policies in the held-out worlds in which they are not logged."""
+    return f"eval/{policy}/crossed.csv"
+
+
 def full_logs(scenario: Scenario, policy: str) -> list[tuple[int, str]]:
     """List seed and path of the logs that show the beginning of a policy's worlds in full."""
     seeds = scenario.evaluate.seeds[: scenario.evaluate.full_logs]
@@ -177,15 +195,26 @@ def full_logs(scenario: Scenario, policy: str) -> list[tuple[int, str]]:
 
 
 def evaluation_outputs(scenario: Scenario, group: str) -> list[str]:
-    """List all logs that the evaluation of a group of policies writes."""
+    """List all files that the evaluation of a group of policies writes."""
     policies = group_policies(scenario, scenario.evaluate.policies, group)
     full = [name for policy in policies for _, name in full_logs(scenario, policy)]
-    return [*evaluation_logs(scenario, group), *full]
+    return [*evaluation_logs(scenario, group), *full, *evaluation_crosses(scenario, group)]
+
+
+def evaluation_crosses(scenario: Scenario, group: str) -> list[str]:
+    """List the measures of a group in the held-out worlds in which it is not logged."""
+    policies = group_policies(scenario, scenario.evaluate.policies, group)
+    return [evaluation_crossed(policy) for policy in policies if is_crossed(scenario, policy)]
 
 
 def sweep_log(axis: str, policy: str, value: float | str, seed: int) -> str:
     """Log of a policy at one point of a sweep."""
     return f"sweep/{axis}/{policy}/{value_text(value)}_seed{seed}.mcap"
+
+
+def sweep_crossed(axis: str, policy: str, value: float | str) -> str:
+    """Measures of a learner's policies at one point of a sweep where they are not logged."""
+    return f"sweep/{axis}/{policy}/{value_text(value)}_crossed.csv"
 
 
 def sweep_logs(scenario: Scenario, axis: str, group: str) -> list[str]:
@@ -198,9 +227,29 @@ def sweep_logs(scenario: Scenario, axis: str, group: str) -> list[str]:
     ]
 
 
+def sweep_outputs(scenario: Scenario, axis: str, group: str) -> list[str]:
+    """List all files that a sweep of a group of policies writes."""
+    return [*sweep_logs(scenario, axis, group), *sweep_crosses(scenario, axis, group)]
+
+
+def sweep_crosses(scenario: Scenario, axis: str, group: str) -> list[str]:
+    """List the measures of a group along a sweep where it is not logged."""
+    return [
+        sweep_crossed(axis, policy, value)
+        for policy in group_policies(scenario, swept_policies(scenario, axis), group)
+        for value in swept_values(scenario, axis)
+        if is_crossed(scenario, policy)
+    ]
+
+
 def cell_log(cell: Cell, policy: str, seed: int) -> str:
     """Log of a policy in a cell of another size."""
     return f"generalise/{cell_text(cell)}/{policy}/seed{seed}.mcap"
+
+
+def cell_crossed(cell: Cell, policy: str) -> str:
+    """Measures of a learner's policies in a cell of another size where they are not logged."""
+    return f"generalise/{cell_text(cell)}/{policy}/crossed.csv"
 
 
 def cell_logs(scenario: Scenario, group: str) -> list[str]:
@@ -210,6 +259,21 @@ def cell_logs(scenario: Scenario, group: str) -> list[str]:
         for cell in scenario.generalise.cells
         for policy in group_policies(scenario, scenario.generalise.policies, group)
         for seed in scenario.generalise.seeds
+    ]
+
+
+def cell_outputs(scenario: Scenario, group: str) -> list[str]:
+    """List all files that a group of policies writes in cells of other sizes."""
+    return [*cell_logs(scenario, group), *cell_crosses(scenario, group)]
+
+
+def cell_crosses(scenario: Scenario, group: str) -> list[str]:
+    """List the measures of a group in cells of other sizes where it is not logged."""
+    return [
+        cell_crossed(cell, policy)
+        for cell in scenario.generalise.cells
+        for policy in group_policies(scenario, scenario.generalise.policies, group)
+        if is_crossed(scenario, policy)
     ]
 
 

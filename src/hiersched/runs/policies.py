@@ -32,10 +32,23 @@ PolicySource = Callable[[Scenario, str], Sequence[RunnablePolicy]]
 
 @dataclass(frozen=True, kw_only=True)
 class WorldRun:
-    """What a policy did in one world: fields of `SlotRecord` (T, ...), and more for the log."""
+    """What a policy did in one world: fields of `SlotRecord` (T, ...), and more for the log.
+
+    Attributes
+    ----------
+    seed
+        Of the world.
+    fields
+        Name -> values, leading axis (T,).
+    logged
+        Whether the run is to have a log; else its measures are all that stays of it.
+    metadata, attachments
+        Of that log.
+    """
 
     seed: int
     fields: Mapping[str, NDArray[Any]]
+    logged: bool = True
     metadata: Mapping[str, str] = field(default_factory=dict)
     attachments: Mapping[str, bytes] = field(default_factory=dict)
 
@@ -71,29 +84,42 @@ def run_worlds(
     purpose: str,
     seeds: Sequence[int],
     num_slots: int,
+    *,
+    crossed: bool = False,
 ) -> Iterator[WorldRun]:
-    """Run one world a seed; world i runs policy i, modulo their number.
+    """Run policies in one world a seed; worlds of different purposes are independent.
 
-    Worlds of different purposes are independent.
+    Parameters
+    ----------
+    scenario, gains
+        What is run.
+    policies
+        One, or one a training seed.
+    purpose, seeds
+        Of the worlds.
+    num_slots
+        Of every world.
+    crossed
+        Whether every policy runs in every world, as one batch. Else world i runs policy i, modulo
+        their number. These runs are logged in either case, the others are not.
 
     Yields
     ------
     WorldRun
-        In the order of the seeds.
+        Policy by policy, the worlds of each in the order of their seeds.
     """
-    runs: dict[int, WorldRun] = {}
     for index, runnable in enumerate(policies):
-        worlds = seeds[index :: len(policies)]
+        own = seeds[index :: len(policies)]
+        worlds = seeds if crossed else own
         if not worlds:
             continue
         simulator = Simulator(scenario, gains, seed_worlds(purpose, worlds), num_slots)
         record = simulator.run(runnable.policy)
         for place, seed in enumerate(worlds):
-            runs[seed] = WorldRun(
+            yield WorldRun(
                 seed=seed,
                 fields=record.environment(place),
+                logged=seed in own,
                 metadata=runnable.metadata,
                 attachments=runnable.attachments,
             )
-    for seed in seeds:
-        yield runs[seed]

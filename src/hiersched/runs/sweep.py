@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from hiersched.runs import paths
+from hiersched.runs.crossed import CrossedRows, Measure
 from hiersched.runs.gains import load_gains
 from hiersched.runs.logging import RunLabel, clear_logs, write_log
 from hiersched.runs.policies import PolicySource, run_worlds, world_slots
@@ -18,7 +19,14 @@ from hiersched.runs.variants import (
 from hiersched.scenario import Scenario
 
 
-def sweep(scenario: Scenario, results: Path, axis: str, group: str, source: PolicySource) -> None:
+def sweep(
+    scenario: Scenario,
+    results: Path,
+    axis: str,
+    group: str,
+    source: PolicySource,
+    measure: Measure | None = None,
+) -> None:
     """Run and log a group of policies at every value of an axis.
 
     Parameters
@@ -33,6 +41,8 @@ def sweep(scenario: Scenario, results: Path, axis: str, group: str, source: Poli
         Which policies: one of `variants.policy_groups`.
     source
         Where they are found by name.
+    measure
+        What measures the runs that are not logged (see `crossed`); without it they are not made.
     """
     seeds = scenario.sweeps.seeds
     policies = group_policies(scenario, swept_policies(scenario, axis), group)
@@ -46,16 +56,24 @@ def sweep(scenario: Scenario, results: Path, axis: str, group: str, source: Poli
         )
         num_slots, warmup_slots = world_slots(scenario.sweeps, variant.radio.slot_s)
         for policy in policies:
+            crossed = CrossedRows(measure, variant)
             for world in run_worlds(
-                variant, gains, source(variant, policy), "sweep", seeds, num_slots
+                variant,
+                gains,
+                source(variant, policy),
+                "sweep",
+                seeds,
+                num_slots,
+                crossed=crossed.wanted,
             ):
                 point = {"axis": axis, "value": value_text(value)}
-                write_log(
-                    results / paths.sweep_log(axis, policy, value, world.seed),
-                    variant,
-                    schedule,
-                    RunLabel(stage="sweep", policy=policy, seed=world.seed, **point),
-                    world.after(warmup_slots),
-                    profile=scenario.log.sweep_profile,
-                )
+                label = RunLabel(stage="sweep", policy=policy, seed=world.seed, **point)
+                measured = world.after(warmup_slots)
+                if not world.logged:
+                    crossed.add(label, measured)
+                    continue
+                path = results / paths.sweep_log(axis, policy, value, world.seed)
+                profile = scenario.log.sweep_profile
+                write_log(path, variant, schedule, label, measured, profile=profile)
+            crossed.write(results / paths.sweep_crossed(axis, policy, value))
         print(f"sweep {axis} = {value_text(value)}: {', '.join(policies)}", flush=True)

@@ -28,6 +28,7 @@ from hiersched.study.effects import (
     tenths_of_dexterity,
 )
 from hiersched.study.intervals import resolution
+from hiersched.study.samples import sample_of
 from hiersched.study.sensitivities import Frames, Noisy, by_coefficient, evaluated, swept, trained
 from hiersched.study.verdicts import (
     Claim,
@@ -145,7 +146,8 @@ def _beyond(
 def _slices(frames: Frames, scenario: Scenario) -> Claim:
     def measure(runs: pd.DataFrame, policy: str) -> tuple[Statement, ...]:
         own = runs[runs["policy"] == policy]
-        sample = difference(own["embb_rate_mbps"], own["urllc_rate_mbps"])
+        embb, urllc = (sample_of(own, f"{part}_rate_mbps") for part in ("embb", "urllc"))
+        sample = difference(embb, urllc)
         return (sample.statement("eMBB rate − URLLC rate", "Mbit/s", above=0.0),)
 
     base, others = evaluated(frames, scenario, measure, beside=True)
@@ -267,7 +269,7 @@ def _gains(frames: Frames, scenario: Scenario) -> Claim:
         for slot, rows in group[group["violated"]].groupby("slot"):
             errors = rows.pivot(index="seed", columns="gain", values="error_cm")
             statements.append(
-                ratio(errors["adjusted"], errors["nominal"]).statement(
+                ratio(errors["adjusted"].to_numpy(), errors["nominal"].to_numpy()).statement(
                     f"tracking error, adjusted / nominal, slot {slot}", "1", below=1.0
                 )
             )

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from hiersched.core.files import write_bytes
 from hiersched.scenario import Scenario
 from hiersched.study.claims import judge
 from hiersched.study.collect import (
@@ -17,7 +18,6 @@ from hiersched.study.collect import (
     runs_frame,
     training_frames,
 )
-from hiersched.study.files import write_bytes
 from hiersched.study.sensitivities import Frames
 from hiersched.study.statistics import LEVEL
 from hiersched.study.tables import interval_text
@@ -99,7 +99,8 @@ def claims_markdown(claims: Sequence[Claim], scenario: Scenario) -> str:
     lines = [
         f"# The paper's claims in scenario `{scenario.name}`",
         "",
-        f"{RULE} Brackets hold {100.0 * LEVEL:g} % intervals over seeds, paired where worlds are "
+        f"{RULE} Brackets hold {100.0 * LEVEL:g} % intervals over seeds, of learned policies "
+        "over training seeds and worlds, each policy in every world, paired where worlds are "
         "shared: Student t, of ratios on their logarithms. *d* is the standardised effect: mean "
         "over standard deviation of the paired differences, or of the logarithms of the ratios.",
         "",

@@ -1,9 +1,8 @@
-"""From the logs of a results folder to data frames: one row a log, in the scenario's order."""
+"""From the logs of a results folder to data frames: one row a run, in the scenario's order."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict
+from collections.abc import Iterator, Sequence
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,6 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from hiersched.control import GainSchedule
+from hiersched.core.files import csv_text, write_bytes
 from hiersched.log import LogError, LogReader
 from hiersched.runs import paths
 from hiersched.runs.logged import RunSlots, read_slots
@@ -33,9 +33,8 @@ from hiersched.runs.variants import (
 from hiersched.scenario import Scenario
 from hiersched.scenario.schema import GainMethod, checkpoint_rounds
 from hiersched.study.fifo import FloatArray
-from hiersched.study.files import csv_text, write_bytes
 from hiersched.study.metrics import (
-    RunMetrics,
+    metrics_row,
     run_metrics,
     slots_per_window,
     tracking_error_by_window_cm,
@@ -64,53 +63,82 @@ def measure_group(results_dir: Path, scenario: Scenario, group: str) -> pd.DataF
     Returns
     -------
     DataFrame
-        Columns of `RunMetrics`, one row a log, in the scenario's order; `stage` says evaluate,
-        sweep or generalise, `axis` and `value` the point of a sweep or the cell.
+        Columns of `RunMetrics`, one row a run, in the scenario's order, those of a learner by
+        training seed and world; `stage` says evaluate, sweep or generalise, `axis` and `value` the
+        point of a sweep or the cell, `policy_seed` the training seed (empty for a rule), `seed` the
+        world, and `logged` whether the run has a log.
 
     Raises
     ------
     FileNotFoundError
-        If a log of the scenario's policies and seeds is missing.
+        If a log of the scenario's policies and seeds is missing, or measures of runs without one.
+    ValueError
+        If a learner's policies are not those of its training seeds, each in every world.
     """
-    return pd.DataFrame(
-        [
-            {
-                **_row(run_metrics(_existing(results_dir / run.name), run.scenario), run.scenario),
-                "stage": run.stage,
-                "axis": run.axis,
-                "value": run.value,
-            }
-            for run in _runs(scenario, group)
-        ]
-    )
+    tables = [_condition_frame(results_dir, run) for run in _conditions(scenario, group)]
+    table = pd.concat(tables, ignore_index=True)
+    first = ["policy", "policy_seed", "seed", "logged"]
+    return table[[*first, *(name for name in table if name not in first)]]
 
 
-class _Run(NamedTuple):
-    """A log to be measured, and what was run."""
+class _Condition(NamedTuple):
+    """Runs of one policy under one condition: their logs, by world, and measures of the others."""
 
-    name: str
+    policy: str
+    logs: dict[int, str]
+    crossed: str
     scenario: Scenario
     stage: str
     axis: str = ""
     value: str = ""
 
 
-def _runs(scenario: Scenario, group: str) -> Iterator[_Run]:
-    """Yield the runs of a group in the order of the scenario."""
+def _conditions(scenario: Scenario, group: str) -> Iterator[_Condition]:
+    """Yield the conditions under which a group runs, in the order of the scenario."""
     for policy in group_policies(scenario, scenario.evaluate.policies, group):
-        for seed in scenario.evaluate.seeds:
-            yield _Run(paths.evaluation_log(policy, seed), scenario, "evaluate")
+        logs = {seed: paths.evaluation_log(policy, seed) for seed in scenario.evaluate.seeds}
+        crossed = paths.evaluation_crossed(policy)
+        yield _Condition(policy, logs, crossed, scenario, "evaluate")
     for axis in SWEPT_KEYS:
         for policy in group_policies(scenario, swept_policies(scenario, axis), group):
-            for value, seed in product(swept_values(scenario, axis), scenario.sweeps.seeds):
-                name = paths.sweep_log(axis, policy, value, seed)
-                yield _Run(name, scenario, "sweep", axis, value_text(value))
+            for value in swept_values(scenario, axis):
+                seeds = scenario.sweeps.seeds
+                logs = {seed: paths.sweep_log(axis, policy, value, seed) for seed in seeds}
+                crossed = paths.sweep_crossed(axis, policy, value)
+                text = value_text(value)
+                yield _Condition(policy, logs, crossed, scenario, "sweep", axis, text)
     for cell in scenario.generalise.cells:
         variant = cell_scenario(scenario, cell)
         for policy in group_policies(scenario, scenario.generalise.policies, group):
-            for seed in scenario.generalise.seeds:
-                name = paths.cell_log(cell, policy, seed)
-                yield _Run(name, variant, "generalise", "cell", cell_text(cell))
+            seeds = scenario.generalise.seeds
+            logs = {seed: paths.cell_log(cell, policy, seed) for seed in seeds}
+            crossed = paths.cell_crossed(cell, policy)
+            yield _Condition(policy, logs, crossed, variant, "generalise", "cell", cell_text(cell))
+
+
+def _condition_frame(results_dir: Path, run: _Condition) -> pd.DataFrame:
+    """Measures of all runs under one condition."""
+    rows = [
+        metrics_row(run_metrics(_existing(results_dir / name), run.scenario), run.scenario)
+        for name in run.logs.values()
+    ]
+    table = pd.DataFrame(rows).assign(logged=True)
+    if paths.is_crossed(run.scenario, run.policy):
+        path = _existing(results_dir / run.crossed)
+        others = pd.read_csv(path).assign(logged=False)
+        table = pd.concat([table, others], ignore_index=True)
+    table["policy_seed"] = table["policy_seed"].astype("Int64")
+    learning = run.scenario.learned.get(run.policy)
+    if learning is not None:
+        wanted = list(product(learning.seeds, run.logs))
+        places = list(zip(table["policy_seed"], table["seed"], strict=True))
+        if sorted(places, key=str) != sorted(wanted, key=str):
+            raise ValueError(
+                f"{run.stage} {run.axis} {run.value} {run.policy}: not each of the policies of "
+                f"training seeds {', '.join(map(str, learning.seeds))} once in each world"
+            )
+        table = table.iloc[[places.index(pair) for pair in wanted]]
+    return table.assign(stage=run.stage, axis=run.axis, value=run.value)
 
 
 def write_measures(results_dir: Path, scenario: Scenario, group: str) -> None:
@@ -120,7 +148,7 @@ def write_measures(results_dir: Path, scenario: Scenario, group: str) -> None:
 
 
 def runs_frame(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
-    """Read the measures of every run: columns of `measure_group`, one row a log.
+    """Read the measures of every run: columns of `measure_group`, one row a run.
 
     Raises
     ------
@@ -130,7 +158,8 @@ def runs_frame(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
     frames = [
         pd.read_csv(
             _existing(results_dir / paths.measures_file(group)),
-            dtype={"policy": str, "stage": str, "axis": str, "value": str},
+            dtype=dict.fromkeys(("policy", "stage", "axis", "value"), "str")
+            | {"policy_seed": "Int64"},
         )
         for group in policy_groups(scenario)
         if group_runs(scenario, group)
@@ -142,17 +171,17 @@ def runs_frame(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
 
 
 def evaluation_frame(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
-    """Measures of every evaluation, one row a policy and seed."""
+    """Measures of every evaluation, one row a policy, training seed of it and world."""
     return _stage(results_dir, scenario, "evaluate", scenario.evaluate.policies)
 
 
 def sweep_frame(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
-    """Measures of every sweep, one row an axis, value, policy and seed."""
+    """Measures of every sweep, one row an axis, value, policy, training seed and world."""
     return _stage(results_dir, scenario, "sweep", ())
 
 
 def cell_frame(results_dir: Path, scenario: Scenario) -> pd.DataFrame:
-    """Measures of every run in a cell of another size: axis ``cell``, one row a policy and seed."""
+    """Measures of every run in a cell of another size: axis ``cell``, rows likewise."""
     return _stage(results_dir, scenario, "generalise", scenario.generalise.policies)
 
 
@@ -323,23 +352,6 @@ def _training_columns(log: LogReader, length: int) -> dict[str, NDArray[Any]]:
 def read_evaluation(results_dir: Path, policy: str, seed: int, names: Sequence[str]) -> RunSlots:
     """Read fields of every slot of an evaluation, its warm-up included."""
     return read_slots(evaluation_log(results_dir, policy, seed), names)
-
-
-def violation_column(level: float) -> str:
-    """Return the column with the share of URLLC users that miss a reliability level."""
-    return f"urllc_users_violating_{level:g}"
-
-
-def _row(metrics: RunMetrics, scenario: Scenario) -> dict[str, Any]:
-    row = asdict(metrics)
-    by_user: Iterable[float] = row.pop("late_share_by_user")
-    violating: Iterable[float] = row.pop("urllc_users_violating")
-    levels = scenario.traffic.reliability_levels
-    for level, share in zip(levels, violating, strict=True):
-        row[violation_column(level)] = share
-    for user, share in enumerate(by_user):
-        row[f"late_share_user_{user}"] = share
-    return row
 
 
 def _axis_key(value: float | str) -> float | str:

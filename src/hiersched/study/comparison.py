@@ -15,6 +15,7 @@ from hiersched.runs import paths
 from hiersched.scenario import Scenario
 from hiersched.study.collect import BASELINE
 from hiersched.study.intervals import measure_interval
+from hiersched.study.samples import counts, paired
 from hiersched.study.statistics import (
     Interval,
     interval_columns,
@@ -65,7 +66,7 @@ def standing(runs: pd.DataFrame) -> pd.DataFrame:
     for policy, group in runs.groupby("policy", sort=False):
         row: dict[str, Any] = {"policy": policy}
         if best is not None:
-            own, other = group[BACKLOG], runs.loc[runs["policy"] == best, BACKLOG]
+            own, other = paired(group, runs[runs["policy"] == best], BACKLOG)
             row["best_classical"] = best
             row |= interval_columns("backlog_over_best", paired_log_ratio(own, other))
             row |= interval_columns("improvement", probability_of_improvement(own, other))
@@ -90,30 +91,37 @@ def score_table(runs: pd.DataFrame, sweeps: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Columns policy, loads, seeds, score (_lo, _hi), shorter_worlds: the share of worlds in
-        which its mean square backlog is below that of the best classical scheduler of the load.
+        Columns policy, loads, seeds (worlds), training_seeds (0 of a rule), score (_lo, _hi),
+        shorter_worlds: the share of worlds, or of pairs of policy and world, in which its mean
+        square backlog is below that of the best classical scheduler of the load.
     """
     along = sweeps[sweeps["axis"] == "load"]
     if BASELINE not in set(along["policy"]):
-        return pd.DataFrame(columns=["policy", "loads", "seeds"])
+        return pd.DataFrame(columns=["policy", "loads", "seeds", "training_seeds"])
     rows = []
     for policy in dict.fromkeys(runs["policy"]):
         gains, best_gains, shorter = [], [], []
+        number: dict[str, int] = {}
         for _, group in along.groupby("value", sort=False):
-            backlog = group.pivot(index="seed", columns="policy", values=BACKLOG)
             best = best_classical(group)
-            if policy not in backlog or best is None:
+            if policy not in set(group["policy"]) or best is None:
                 continue
-            logs = {name: np.log(backlog[name].to_numpy()) for name in (BASELINE, policy, best)}
+            by_policy = {str(name): rows for name, rows in group.groupby("policy")}
+            own = by_policy[policy]
+            number = counts(own)
+            logs = {
+                name: np.log(paired(own, by_policy[name], BACKLOG)[1])
+                for name in (BASELINE, policy, best)
+            }
             gains.append(logs[BASELINE] - logs[policy])
             best_gains.append(logs[BASELINE] - logs[best])
             shorter.append(logs[policy] < logs[best])
         if gains:
             most = float(np.sum(best_gains, axis=0).mean())
             scores = np.sum(gains, axis=0) / (most if most > 0.0 else math.nan)
-            row = {"policy": policy, "loads": len(gains), "seeds": len(scores)}
+            row = {"policy": policy, "loads": len(gains), **number}
             row |= interval_columns("score", mean_interval(scores))
-            rows.append({**row, "shorter_worlds": float(np.concatenate(shorter).mean())})
+            rows.append({**row, "shorter_worlds": float(np.mean(shorter))})
     return pd.DataFrame(rows)
 
 
@@ -130,9 +138,9 @@ def generalisation_table(runs: pd.DataFrame, scenario: Scenario) -> pd.DataFrame
     Returns
     -------
     DataFrame
-        One row an axis (cell, load, rayleigh_scale), value and policy: seeds, measures with their
-        intervals, best_classical, and backlog_over_best: the typical ratio of the mean square
-        backlogs in the same worlds.
+        One row an axis (cell, load, rayleigh_scale), value and policy: seeds, training_seeds,
+        measures with their intervals, best_classical, and backlog_over_best: the typical ratio of
+        the mean square backlogs in the same worlds.
     """
     rows = []
     for axis in CELL_AXES:
@@ -140,13 +148,13 @@ def generalisation_table(runs: pd.DataFrame, scenario: Scenario) -> pd.DataFrame
             best = best_classical(group)
             for policy, own in group.groupby("policy", sort=False):
                 row: dict[str, Any] = {"axis": axis, "value": value, "policy": policy}
-                row["seeds"] = len(own)
+                row |= counts(own)
                 for name in CELL_MEASURES:
                     row |= interval_columns(name, measure_interval(name, own, scenario))
                 if best is not None:
-                    backlog = group.pivot(index="seed", columns="policy", values=BACKLOG)
                     row["best_classical"] = best
-                    over = paired_log_ratio(backlog[policy], backlog[best])
+                    other = group[group["policy"] == best]
+                    over = paired_log_ratio(*paired(own, other, BACKLOG))
                     row |= interval_columns("backlog_over_best", over)
                 rows.append(row)
     return pd.DataFrame(rows)

@@ -36,7 +36,8 @@ def rate_distributions(results: Path, scenario: Scenario) -> pd.DataFrame:
     -------
     DataFrame
         Columns span (slot, window), policy, slice, rate_mbps and the share of rates at or below
-        it: mean over seeds as share, share_lo, share_hi.
+        it: mean over worlds as share, share_lo, share_hi; of a learned policy from its logs, each
+        world under another of its policies.
     """
     learned, urllc = scenario.learning.algorithm, scenario.users.num_urllc
     window = slots_per_window(scenario)
@@ -71,7 +72,7 @@ def delay_tails(results: Path, scenario: Scenario) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Columns policy, delay_s and share, share_lo, share_hi over seeds.
+        Columns policy, delay_s and share, share_lo, share_hi over worlds, likewise.
     """
     grid = np.linspace(0.0, DEADLINES_SHOWN * scenario.traffic.deadline_s, DELAY_POINTS)
     frames = []

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from hiersched.study.samples import is_learned, paired, sample_of
 from hiersched.study.statistics import (
     Interval,
     effect_size,
@@ -19,7 +20,8 @@ from hiersched.study.statistics import (
 )
 from hiersched.study.verdicts import Statement
 
-Sample: TypeAlias = "pd.Series[float]"
+Sample: TypeAlias = NDArray[np.float64]
+"""One value a world, or of policies crossed with worlds: see `samples.sample_of`."""
 
 PAIRED = (("urllc", "URLLC"), ("embb", "eMBB"))
 """Slices of the cell, as columns and as readers know them."""
@@ -29,9 +31,9 @@ STRETCHES = 5
 
 @dataclass(frozen=True, kw_only=True)
 class Measured:
-    """A number over seeds: a value or its logarithm for each, and the interval of the mean."""
+    """A number over seeds: values or their logarithms, and the interval of the mean."""
 
-    values: NDArray[np.float64]
+    values: Sample
     logarithms: bool
     interval: Interval
 
@@ -42,7 +44,7 @@ class Measured:
             unit=unit,
             interval=self.interval,
             effect=effect_size(self.values),
-            values=tuple(self.values.tolist()),
+            values=_plain(self.values),
             logarithms=self.logarithms,
             **claimed,
         )
@@ -55,16 +57,15 @@ def mean(values: NDArray[np.float64]) -> Measured:
 
 def difference(values: Sample, baseline: Sample) -> Measured:
     """Measure the mean of values - baseline, seed by seed."""
-    return mean(values.to_numpy(np.float64) - baseline.to_numpy(np.float64))
+    return mean(values - baseline)
 
 
 def ratio(values: Sample, baseline: Sample, resolution: float = 0.0) -> Measured:
     """Measure the typical ratio of paired samples; see `statistics.paired_log_ratio`."""
-    a, b = values.to_numpy(np.float64), baseline.to_numpy(np.float64)
     return Measured(
-        values=log_ratios(a, b, resolution),
+        values=log_ratios(values, baseline, resolution),
         logarithms=True,
-        interval=paired_log_ratio(a, b, resolution=resolution),
+        interval=paired_log_ratio(values, baseline, resolution=resolution),
     )
 
 
@@ -74,7 +75,9 @@ def slope(
     measure: str,
     position: Callable[[pd.DataFrame], NDArray[np.float64]],
 ) -> Measured:
-    """Measure the least-squares slope of a measure along a sweep, one slope a seed.
+    """Measure the least-squares slope of a measure along a sweep, one slope a world.
+
+    Of a learned policy, one for each of its policies in each world.
 
     Parameters
     ----------
@@ -83,15 +86,17 @@ def slope(
     policy, measure
         Which runs, which column.
     position
-        Where the runs of one seed lie on the axis, shape (n,).
+        Where the runs of one policy in one world lie on the axis, shape (n,).
     """
     own = along[along["policy"] == policy]
+    keys = ["policy_seed", "seed"] if is_learned(own) else ["seed"]
     slopes = []
-    for _, rows in own.groupby("seed", sort=False):
+    for _, rows in own.groupby(keys, sort=False):
         x = position(rows) - position(rows).mean()
         y = rows[measure].to_numpy(np.float64)
-        slopes.append(float(x @ (y - y[0]) / (x @ x)))  # exactly 0 where all are equal
-    return mean(np.array(slopes))
+        # Exactly 0 where all are equal.
+        slopes.append({**rows.iloc[0][keys], "slope": float(x @ (y - y[0]) / (x @ x))})
+    return mean(sample_of(pd.DataFrame(slopes), "slope"))
 
 
 def steps(checkpoints: pd.DataFrame, measure: str) -> NDArray[np.float64]:
@@ -134,20 +139,25 @@ def tenths_of_dexterity(
 
 
 def ends(along: pd.DataFrame, policy: str, measure: str) -> tuple[Sample, Sample]:
-    """Return a measure at the least and the greatest value of a sweep, by seed."""
+    """Return a measure at the least and the greatest value of a sweep, in the same worlds."""
     own = along[along["policy"] == policy]
-    by_value = own.assign(value=own["value"].astype(float)).pivot(
-        index="seed", columns="value", values=measure
-    )
-    return by_value[min(by_value.columns)], by_value[max(by_value.columns)]
+    values = own["value"].astype(float)
+    return paired(own[values == values.min()], own[values == values.max()], measure)
 
 
 def in_the_same_worlds(
     runs: pd.DataFrame, policy: str, baseline: str, measure: str
 ) -> tuple[Sample, Sample]:
-    """Return a measure of two policies in the same worlds, by seed."""
-    by_policy = runs.pivot(index="seed", columns="policy", values=measure)
-    return by_policy[policy], by_policy[baseline]
+    """Return a measure of two policies in the same worlds."""
+    own, other = (runs[runs["policy"] == name] for name in (policy, baseline))
+    return paired(own, other, measure)
+
+
+def _plain(values: Sample) -> tuple[float, ...] | tuple[tuple[float, ...], ...]:
+    """Return values, or those of every policy in its worlds."""
+    if values.ndim == 2:
+        return tuple(tuple(row) for row in values.tolist())
+    return tuple(values.tolist())
 
 
 def percent(share: float) -> str:

@@ -32,7 +32,10 @@ def backlog_path(arrivals_packets: NDArray[np.uint32], service_packets: FloatArr
     backlog = np.zeros((len(arrivals_packets) + 1, arrivals_packets.shape[1]))
     arrivals = arrivals_packets.astype(np.float64)
     for slot, service in enumerate(service_packets):
-        backlog[slot + 1] = np.maximum(0.0, backlog[slot] + arrivals[slot] - service)
+        after = backlog[slot + 1]
+        np.add(backlog[slot], arrivals[slot], out=after)
+        after -= service
+        np.maximum(0.0, after, out=after)
     return backlog
 
 
@@ -57,12 +60,14 @@ def sojourn_slots(
     """
     arrived = _arrived(arrivals_packets)
     completed = arrived - np.ceil(backlog).astype(np.int64)
-    packet = np.arange(completed[-1])
-    origin = np.searchsorted(arrived[1:], packet, side="right")
-    slot = np.searchsorted(completed[1:], packet, side="right")
-    load = backlog[slot] + arrivals_packets[slot]
-    behind = arrived[slot + 1] - (packet + 1)  # packets after this one that have arrived
-    result: FloatArray = (slot - origin) + (load - behind) / service_packets[slot]
+    slots, count = np.arange(len(arrivals_packets)), int(completed[-1])
+    out = np.diff(completed)  # packets that a slot completes; each packet has the slot it is among
+    origin = np.repeat(slots, arrivals_packets)[:count]
+    slot, served = np.repeat(slots, out), np.repeat(service_packets, out)
+    load = np.repeat(backlog[:-1] + arrivals_packets, out)
+    # Packets after this one that have arrived.
+    behind = np.repeat(arrived[1:], out) - np.arange(1, count + 1)
+    result: FloatArray = (slot - origin) + (load - behind) / served
     return result
 
 

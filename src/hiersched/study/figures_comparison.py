@@ -79,7 +79,8 @@ def draw_load(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     shared_legend(figure, axes[0], columns=6)
     caption(
         figure,
-        f"Mean and 95 % interval over {len(scenario.sweeps.seeds)} seeds; bars leave "
+        f"Mean and 95 % interval over {len(scenario.sweeps.seeds)} worlds, of the learned policy "
+        "also over training seeds; bars leave "
         "logarithmic axes, or end at 0 in (a), where they include 0. Grey line in (a): the share "
         f"1 − χ that is allowed; below the dotted line: 0.{_open_marks(table)}"
         f"{arrows_text(table[LOAD_BOUNDS])} The axes of (b) and (d) do not start at 0.",
@@ -120,7 +121,8 @@ def draw_delay(tails: pd.DataFrame, scenario: Scenario) -> Figure:
     shared_legend(figure, axes[1], columns=6)
     caption(
         figure,
-        f"Mean over {len(scenario.evaluate.seeds)} worlds; bands in (a): Student t 95 % interval. "
+        f"Mean over {len(scenario.evaluate.seeds)} worlds, world i under the learned policy of "
+        "training seed i; bands in (a): Student t 95 % interval. "
         f"Black: deadline; grey: 1 − χ. Packets that still wait at the end do not count. A curve "
         f"that ends has no slower packet; shares below {TAIL_END:g} are not shown.",
     )
@@ -166,7 +168,8 @@ def draw_pareto(policies: pd.DataFrame, scenario: Scenario) -> Figure:
     shared_legend(figure, axes[0], columns=5)
     caption(
         figure,
-        f"Means and 95 % intervals over {len(scenario.evaluate.seeds)} worlds. Up and "
+        f"Means and 95 % intervals over {len(scenario.evaluate.seeds)} worlds, of learned policies "
+        "also over training seeds. Up and "
         "left is better. Grey steps: the policies that no other beats in both means. Left of the "
         f"dotted line in (a): 0.{_open_marks(policies)}"
         f"{arrows_text(policies['tracking_error_cm_hi'])} Other axes do not start at 0.",
@@ -212,7 +215,8 @@ def draw_bound(bound: pd.DataFrame, scenario: Scenario) -> Figure:
     caption(
         figure,
         f"Mean over {slots} slots of each of {len(scenario.evaluate.seeds)} worlds; bars: Student "
-        "t 95 % intervals over worlds, cut where they include 0. Small grey diamonds in (a): what "
+        "t 95 % intervals over worlds, world i under the learned policy of training seed i, "
+        "cut where they include 0. Small grey diamonds in (a): what "
         "the greedy rule would have lost in the same states. The optimum is a mixed-integer "
         f"programme; what its bound leaves open is at most {bound['uncertified'].max():.2g}.",
     )
@@ -265,7 +269,8 @@ def draw_generalise(table: pd.DataFrame, scenario: Scenario) -> Figure:
     users = scenario.users
     caption(
         figure,
-        f"Mean and 95 % interval over {len(scenario.generalise.seeds)} worlds. The "
+        f"Mean and 95 % interval over {len(scenario.generalise.seeds)} worlds, of learned policies "
+        "also over training seeds. The "
         f"learned policies were trained on {users.num_urllc} + {users.num_embb} users and "
         f"{scenario.radio.num_prb} PRBs and run unchanged. Below the dotted line in (a): "
         f"0.{_open_marks(cells)}{arrows_text(cells[f'{BACKLOG}_hi'])}",

@@ -34,9 +34,11 @@ def draw_violations(
     traffic, seeds = scenario.traffic, len(scenario.evaluate.seeds)
     caption(
         figure,
-        f"Large marks: means; dots: single seeds; bars and bands: 95 % intervals over "
-        f"{seeds} seeds, cut at the axis where they include 0. Left of the dotted line in (a): 0, "
-        f"which has no place on a logarithmic axis.{_open_marks(policies)} "
+        f"Large marks: means; dots: single runs, of learned policies each in every world; bars: "
+        f"95 % intervals over {seeds} worlds and over policies; bands: over worlds, world i under "
+        "the learned policy of training seed i; cut at the axis where they include 0. "
+        f"Left of the dotted line in (a): 0, which has no place on a logarithmic axis."
+        f"{_open_marks(policies)} "
         f"Corner in (b): 1 − χ = {_percent(1.0 - traffic.reliability)} at the deadline of "
         f"{1e3 * traffic.deadline_s:g} ms.",
     )

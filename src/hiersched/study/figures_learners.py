@@ -156,8 +156,9 @@ def draw_learners(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     shared_legend(figure, axes[0], columns=4)
     caption(
         figure,
-        f"Mean and 95 % interval over {len(scenario.sweeps.seeds)} worlds, each with "
-        "its own training seed. Grey line in (a): the share 1 − χ that is allowed; below the "
+        f"Mean and 95 % interval over {len(scenario.sweeps.seeds)} worlds, of "
+        "learned policies also over training seeds. Grey line in (a): the share 1 − χ that is "
+        "allowed; below the "
         f"dotted line: 0.{arrows_text(table[LOAD_BOUNDS])} The axes of (b) and (d) do not start "
         "at 0.",
     )

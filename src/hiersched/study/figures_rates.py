@@ -34,6 +34,8 @@ FLAT_SHARE = 0.002
 COINCIDENT_SHARE = 0.01
 """Curves that are nowhere further apart than this share lie on each other in the figure."""
 
+_AND_POLICIES = ", of the learned policy also over training seeds"
+
 _PAIRS: dict[tuple[str, bool], tuple[Any, str]] = {
     ("urllc", True): ("-", "o"),
     ("urllc", False): ((0, (4, 1.5)), "D"),
@@ -74,7 +76,8 @@ def draw_rate_cdf(rates: pd.DataFrame, scenario: Scenario) -> Figure:
     shared_legend(figure, axes[0])
     caption(
         figure,
-        f"Mean and {_over_seeds(scenario.evaluate.seeds)}, users of a slice pooled; bands end "
+        f"Mean and {_over_seeds(scenario.evaluate.seeds)}, world i under the learned policy of "
+        "training seed i; users of a slice pooled; bands end "
         f"at 0 and 1. Steps in (a): 1, 2, 3 … PRBs. The rate axes do not start at 0{end}.",
     )
     return figure
@@ -107,8 +110,9 @@ def draw_rayleigh(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     shared_legend(figure, axes[0], columns=3)
     caption(
         figure,
-        f"Mean and {_over_seeds(scenario.sweeps.seeds)}. The rate axis does not start at 0; bars "
-        "leave the logarithmic axis where they include 0. Stars at σ\u00a0=\u00a01: "
+        f"Mean and {_over_seeds(scenario.sweeps.seeds)}{_AND_POLICIES}. The rate axis does not "
+        "start at 0; bars leave the logarithmic axis where they include 0. Stars "
+        "at σ\u00a0=\u00a01: "
         f"mean of the three slots of the paper's Table III.{_coincidence(table, scenario)}"
         f"{arrows_text(shown[[f'{name}_backlog_packets_hi' for name in SLICES]])}",
     )
@@ -133,7 +137,9 @@ def draw_sampling(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
         _widen(panel)
     shared_legend(figure, axes[0])
     caption(
-        figure, f"Mean and {_over_seeds(scenario.sweeps.seeds)}. The rate axes do not start at 0."
+        figure,
+        f"Mean and {_over_seeds(scenario.sweeps.seeds)}{_AND_POLICIES}. The rate axes do not start "
+        "at 0.",
     )
     return figure
 
@@ -166,9 +172,9 @@ def draw_dexterity(sweeps: pd.DataFrame, scenario: Scenario) -> Figure:
     shared_legend(figure, axes[0])
     caption(
         figure,
-        f"Mean and {_over_seeds(scenario.sweeps.seeds)}. The rate axes do not start at 0. DI: "
-        "dexterity index; titles: change of the mean from the lowest index to the highest. The "
-        "paper has the data rate fall as the index grows.",
+        f"Mean and {_over_seeds(scenario.sweeps.seeds)}{_AND_POLICIES}. The rate axes do not start "
+        "at 0. DI: dexterity index; titles: change of the mean from the lowest index to the "
+        "highest. The paper has the data rate fall as the index grows.",
     )
     return figure
 
@@ -270,4 +276,4 @@ def _name_references(panel: Axes, table: pd.DataFrame) -> None:
 
 
 def _over_seeds(seeds: Sequence[int]) -> str:
-    return f"95 % interval over {len(seeds)} seeds"
+    return f"95 % interval over {len(seeds)} worlds"

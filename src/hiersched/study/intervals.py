@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pandas as pd
 
 from hiersched.scenario import Scenario
 from hiersched.study.metrics import slots_per_window
+from hiersched.study.samples import counts, sample_of
 from hiersched.study.statistics import Interval, mean_interval, skewed_interval, smallest_mean
 
 SYMMETRIC = ("urllc_rate_mbps", "embb_rate_mbps", "dexterity_index", "delay_steps")
@@ -16,12 +16,15 @@ SYMMETRIC = ("urllc_rate_mbps", "embb_rate_mbps", "dexterity_index", "delay_step
 and skewed: late shares, backlogs, delays, errors."""
 
 INTERVAL_NOTE = (
-    "Means over worlds, in brackets their 95 % intervals: Student t for rates, the dexterity index "
+    "Means over worlds, of learned policies over `training_seeds` policies, each in all worlds. In "
+    "brackets their 95 % intervals, which take in what policies and what worlds differ by: Student "
+    "t for rates, the dexterity index "
     "and the delay in samples; for all else, which is skewed, the generalised pivotal interval of "
-    "a lognormal mean (Krishnamoorthy and Mathew 2003; with zeros, Tian 2005 and Hannig 2009). "
+    "a lognormal mean (Krishnamoorthy and Mathew 2003; with zeros, Tian 2005 and Hannig 2009; of "
+    "policies and worlds, the product of both). "
     "Bounds of shares are cut at 1. Where a share is above 0 in a single world, its logarithm is "
     "taken to spread by 1.6; where it is 0 in all worlds, `<` stands before the least mean that so "
-    "many worlds tell from 0."
+    "many worlds, or policies where they are fewer, tell from 0."
 )
 
 
@@ -60,14 +63,16 @@ def is_share(name: str) -> bool:
 
 
 def measure_interval(name: str, runs: pd.DataFrame, scenario: Scenario) -> Interval:
-    """Return the mean of a measure over runs, and the interval that suits it.
+    """Return the mean of a measure over the runs of a policy, and the interval that suits it.
+
+    Of a learned policy it is the mean over policies and worlds, and the interval has both parts.
 
     Parameters
     ----------
     name, runs, scenario
         As for `resolution`.
     """
-    values = runs[name].to_numpy(np.float64)
+    values = sample_of(runs, name)
     if name in SYMMETRIC:
         return mean_interval(values)
     most = 1.0 if is_share(name) else math.inf
@@ -76,4 +81,6 @@ def measure_interval(name: str, runs: pd.DataFrame, scenario: Scenario) -> Inter
 
 def smallest_late_share(runs: pd.DataFrame, scenario: Scenario) -> float:
     """Return the least share of late URLLC packets that these runs tell from 0."""
-    return smallest_mean(len(runs), resolution("urllc_late_share", runs, scenario))
+    number = counts(runs)
+    units = min(number["seeds"], number["training_seeds"] or number["seeds"])
+    return smallest_mean(units, resolution("urllc_late_share", runs, scenario))

@@ -10,6 +10,7 @@ import pandas as pd
 from hiersched.scenario import Scenario
 from hiersched.study.comparison import CELL_MEASURES
 from hiersched.study.intervals import SYMMETRIC, measure_interval, resolution
+from hiersched.study.samples import counts, paired
 from hiersched.study.statistics import interval_columns, paired_difference, paired_log_ratio
 
 
@@ -38,16 +39,17 @@ def learner_table(sweeps: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        One row a load and learner: load, learner, differs (the keys), seeds, then for every measure
-        its mean over worlds and how it compares with the own learner: the mean of the paired
-        differences (suffix ``_minus_own``) of rates, the typical ratio (``_over_own``) of what is
-        skewed, with bounds ``_lo`` and ``_hi``. World and training seed are paired.
+        One row a load and learner: load, learner, differs (the keys), seeds (worlds),
+        training_seeds, then for every measure its mean over policies and worlds and how it compares
+        with the own learner: the mean of the paired differences (suffix ``_minus_own``) of rates,
+        the typical ratio (``_over_own``) of what is skewed, with bounds ``_lo`` and ``_hi``. Worlds
+        are paired, and so are training seeds, the k-th with the k-th.
     """
     rows = []
     own = scenario.learning.algorithm
     along = sweeps[(sweeps["axis"] == "load") & sweeps["policy"].isin(list(scenario.learned))]
     for load, group in along.groupby("value", sort=False):
-        by_learner = {str(name): runs.set_index("seed") for name, runs in group.groupby("policy")}
+        by_learner = {str(name): runs for name, runs in group.groupby("policy")}
         for learner in scenario.learned:
             if learner not in by_learner:
                 continue
@@ -55,13 +57,13 @@ def learner_table(sweeps: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
                 "load": load,
                 "learner": learner,
                 "differs": differing_text(scenario, learner),
-                "seeds": len(by_learner[learner]),
+                **counts(by_learner[learner]),
             }
             for measure in CELL_MEASURES:
                 runs = by_learner[learner]
                 row |= interval_columns(measure, measure_interval(measure, runs, scenario))
                 if learner != own and own in by_learner:
-                    values, base = runs[measure], by_learner[own][measure].loc[runs.index]
+                    values, base = paired(runs, by_learner[own], measure)
                     if measure in SYMMETRIC:
                         gain = paired_difference(values, base)
                         row |= interval_columns(f"{measure}_minus_own", gain)

@@ -1,9 +1,10 @@
-"""What a log says about its run: one record of measures a log."""
+"""What a run comes to: one record of measures, from its log or from its slots in memory."""
 
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -35,7 +36,10 @@ class RunMetrics:
     """
 
     policy: str
+    policy_seed: int | None
+    """Training seed of a learned policy."""
     seed: int
+    """That of the world."""
     stage: str
     axis: str
     value: str
@@ -109,10 +113,15 @@ def run_metrics(path: str | os.PathLike[str], scenario: Scenario) -> RunMetrics:
         If the log is damaged, or its backlogs or late packets are not those that follow from its
         arrivals and service.
     """
-    run = read_slots(path, _MEASURED)
-    urllc, warmup, metadata = run.num_urllc, run.warmup_slots, run.metadata
-    sojourn_s = _checked_sojourns(path, run, scenario)
-    fields = {name: values[warmup:] for name, values in run.fields.items()}
+    return slot_metrics(read_slots(path, _MEASURED), scenario)
+
+
+def slot_metrics(run: RunSlots, scenario: Scenario) -> RunMetrics:
+    """Measure one run from its slots; see `run_metrics`."""
+    urllc, metadata = run.num_urllc, run.metadata
+    policy_seed = metadata.get("policy_seed")
+    sojourn_s = _checked_sojourns(run, scenario)
+    fields = {name: run.measured(name) for name in _MEASURED}
     rate, backlog = fields["rate_mbps"], fields["backlog_packets"]
     due, late = fields["due_packets"], fields["late_packets"]
     shares = _share(late.sum(axis=0, dtype=np.int64), due.sum(axis=0, dtype=np.int64))
@@ -120,6 +129,7 @@ def run_metrics(path: str | os.PathLike[str], scenario: Scenario) -> RunMetrics:
     penalty = fields["penalty_urllc"] + fields["penalty_embb"]
     return RunMetrics(
         policy=metadata["policy"],
+        policy_seed=None if policy_seed is None else int(policy_seed),
         seed=int(metadata["seed"]),
         stage=metadata.get("stage", ""),
         axis=metadata.get("axis", ""),
@@ -150,7 +160,30 @@ def run_metrics(path: str | os.PathLike[str], scenario: Scenario) -> RunMetrics:
 
 def read_sojourns(path: str | os.PathLike[str], scenario: Scenario) -> list[FloatArray]:
     """Read the sojourn times [s] of delivered packets that arrived behind the warm-up, by user."""
-    return _checked_sojourns(path, read_slots(path, (*_QUEUES, *_PACKETS)), scenario)
+    return _checked_sojourns(read_slots(path, (*_QUEUES, *_PACKETS)), scenario)
+
+
+def violation_column(level: float) -> str:
+    """Return the column with the share of URLLC users that miss a reliability level."""
+    return f"urllc_users_violating_{level:g}"
+
+
+def metrics_row(metrics: RunMetrics, scenario: Scenario) -> dict[str, Any]:
+    """Return measures as a row of a table, one number a column."""
+    row = asdict(metrics)
+    by_user: Iterable[float] = row.pop("late_share_by_user")
+    violating: Iterable[float] = row.pop("urllc_users_violating")
+    levels = scenario.traffic.reliability_levels
+    for level, share in zip(levels, violating, strict=True):
+        row[violation_column(level)] = share
+    for user, share in enumerate(by_user):
+        row[f"late_share_user_{user}"] = share
+    return row
+
+
+def measured_row(run: RunSlots, scenario: Scenario) -> dict[str, Any]:
+    """Measure a run that has no log: the row that its log would give, a `runs.crossed.Measure`."""
+    return metrics_row(slot_metrics(run, scenario), scenario)
 
 
 def tracking_error_by_window_cm(tracking_error_m: FloatArray, slots_per_window: int) -> FloatArray:
@@ -180,14 +213,12 @@ def slots_per_window(scenario: Scenario) -> int:
     return round(scenario.robot.window_s / scenario.radio.slot_s)
 
 
-def _checked_sojourns(
-    path: str | os.PathLike[str], run: RunSlots, scenario: Scenario
-) -> list[FloatArray]:
-    """Return the sojourn times [s] by user, after a check that the log agrees with them."""
+def _checked_sojourns(run: RunSlots, scenario: Scenario) -> list[FloatArray]:
+    """Return the sojourn times [s] by user, after a check that the run agrees with them."""
     arrivals, service = run.fields["arrivals_packets"], run.fields["service_packets"]
     backlog = backlog_path(arrivals, service)
     if not np.array_equal(backlog[:-1], run.fields["backlog_packets"]):
-        raise LogError(path, 0, "its backlogs do not follow from its arrivals and service")
+        raise LogError(run.source, 0, "its backlogs do not follow from its arrivals and service")
     result = []
     for user in range(arrivals.shape[1]):
         traffic = scenario.traffic
@@ -199,7 +230,7 @@ def _checked_sojourns(
             if not np.array_equal(counted, logged):
                 slot = int(np.flatnonzero(counted != logged)[0])
                 raise LogError(
-                    path,
+                    run.source,
                     0,
                     f"{name} of user {user} in slot {slot} is {logged[slot]}, but its arrivals "
                     f"and service give {counted[slot]} at a deadline of {deadline_s:g} s",

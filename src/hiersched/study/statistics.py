@@ -3,7 +3,27 @@
 Seeds are few: means of what is roughly symmetric get Student's t interval, means of skewed measures
 such as late shares the generalised pivotal one of a lognormal mean. Comparisons are paired: the
 i-th value of both samples comes from the same world; of positive measures they are ratios, by their
-logarithms. The probability of improvement follows Agarwal et al. ("Deep reinforcement learning at
+logarithms.
+
+A rule has one value a world, shape (W,). A learned policy has one for every trained policy in every
+world, shape (P, W): policies and worlds are crossed, and the estimand is the mean over both, over
+policies that other training seeds would give and over other worlds. Its variance is
+
+    s_P^2 / P + s_W^2 / W + s_PW^2 / (P W)
+
+of the components of policies, worlds and pairs. Of the means of the policies, over all worlds, the
+sample variance over P estimates the first and the third term; of the means of the worlds, that over
+W the second and the third. Their sum is the variance that is taken, with the degrees of freedom of
+Satterthwaite ("An approximate distribution of estimates of variance components", Biometrics
+Bulletin 2, 1946). So the third term counts twice: no interval is too narrow, and it is too wide by
+a factor of sqrt(2) at most, where policies and worlds have no effects of their own. (To subtract
+the mean square of the pairs would mend that, but may leave 0 or less: the interval of two by two
+values would cover 71 %, and that of ten by ten be a fifth narrower at most.) A single policy or
+world adds no part: its values are a sample of the other alone. Shares of pairs have Owen's
+pigeonhole bootstrap, which draws rows and columns anew ("The pigeonhole bootstrap", Annals of
+Applied Statistics 1, 2007).
+
+The probability of improvement follows Agarwal et al. ("Deep reinforcement learning at
 the edge of the statistical precipice", NeurIPS 2021).
 """
 
@@ -16,7 +36,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from hiersched.study.lognormal import mean_bounds
+from hiersched.study.lognormal import crossed_bounds, mean_bounds
 
 IntArray = npt.NDArray[np.intp]
 
@@ -44,7 +64,8 @@ def mean_interval(values: npt.ArrayLike, level: float = LEVEL) -> Interval:
     Parameters
     ----------
     values
-        One value a seed, shape (n,). A NaN makes all of the result NaN.
+        One value a seed, shape (n,), or of policies crossed with worlds, shape (P, W). A NaN makes
+        all of the result NaN.
     level
         Coverage.
 
@@ -55,7 +76,10 @@ def mean_interval(values: npt.ArrayLike, level: float = LEVEL) -> Interval:
     """
     sample = _sample(values)
     mean = float(sample.mean())
-    half = _t_quantile(len(sample), level) * _standard_error(sample)
+    if sample.ndim == 2:
+        half = _crossed_half_width(sample, level)
+    else:
+        half = _t_quantile(len(sample) - 1, level) * _standard_error(sample)
     return Interval(mean, mean - half, mean + half)
 
 
@@ -77,12 +101,15 @@ def skewed_interval(
     Parameters
     ----------
     values
-        One value a world, shape (n,). A NaN makes all of the result NaN.
+        One value a world, shape (n,), or of policies crossed with worlds, shape (P, W): see
+        `lognormal.crossed_bounds`. A NaN makes all of the result NaN.
     level
         Coverage.
     resolution
         Least value above 0 that a world can show. Where all values are 0 the upper bound is the
-        least mean that this many worlds tell from 0 (`smallest_mean`), and never less otherwise.
+        least mean that this many worlds tell from 0 (`smallest_mean`), and never less otherwise; of
+        crossed values the fewer of policies and worlds count, of which so many pairs on a diagonal
+        are independent.
     most
         Greatest mean there can be, 1 for shares: bounds beyond it are cut.
 
@@ -96,16 +123,26 @@ def skewed_interval(
     if wrong.size:
         raise ValueError(f"values: {wrong[0]:g}, must be 0 or above and finite")
     mean = float(sample.mean())
-    if len(sample) < 2 or math.isnan(mean):
+    if sample.size < 2 or math.isnan(mean):
         return Interval(mean, math.nan, math.nan)
-    positive = sample[sample > 0.0]
-    least = smallest_mean(len(sample), resolution, level)
-    if not positive.size:
+    least = smallest_mean(min(sample.shape), resolution, level)
+    if not sample.any():
         return Interval(0.0, 0.0, min(least, most))
-    if len(positive) == len(sample) and np.ptp(sample) <= 1e-12 * mean:
-        return Interval(mean, mean, mean)
-    lo, hi = mean_bounds(positive, len(sample) - len(positive), level)
-    if len(positive) == 1:  # one world alone does not bound the mean from below
+    parts = [sample.mean(axis=axis) for axis in (1, 0)] if sample.ndim == 2 else [sample]
+    if sample.ndim == 2 and min(map(np.ptp, parts)) <= 1e-12 * mean:
+        # Policies, or worlds, that are all alike are a single one.
+        sample = max(parts, key=np.ptp)
+        parts = [sample]
+    if sample.ndim == 2:
+        lo, hi = crossed_bounds(sample, level)
+    else:
+        positive = sample[sample > 0.0]
+        if len(positive) == len(sample) and np.ptp(sample) <= 1e-12 * mean:
+            return Interval(mean, mean, mean)
+        lo, hi = mean_bounds(positive, len(sample) - len(positive), level)
+    if any(
+        np.count_nonzero(part) == 1 for part in parts
+    ):  # one world, or policy, alone does not bound the mean from below
         lo = 0.0
     return Interval(mean, min(lo, mean), min(max(hi, mean, least), most))
 
@@ -133,7 +170,10 @@ def smallest_mean(count: int, resolution: float, level: float = LEVEL) -> float:
 def paired_difference(
     values: npt.ArrayLike, baseline: npt.ArrayLike, level: float = LEVEL
 ) -> Interval:
-    """Return the mean of values - baseline, world by world, with its Student t interval."""
+    """Return the mean of values - baseline, world by world, with its Student t interval.
+
+    Values of policies crossed with worlds, shape (P, W), are paired by world within each policy.
+    """
     a, b = _pair(values, baseline)
     return mean_interval(a - b, level)
 
@@ -146,7 +186,8 @@ def log_ratios(
     Parameters
     ----------
     values, baseline
-        One value a world, shape (n,), in the same order of worlds.
+        One value a world, shape (n,), in the same order of worlds; either may be of policies
+        crossed with worlds, shape (P, n), and both of as many policies.
     resolution
         Least value above 0 that a world can show: stands for values of 0, whose ratio it bounds
         from above, and for baselines of 0, whose ratio it bounds from below.
@@ -154,8 +195,8 @@ def log_ratios(
     Returns
     -------
     ndarray
-        Shape (n,): 0 where both are equal; NaN where both are 0, one is and there is no resolution,
-        or one is below 0.
+        Shape (n,) or (P, n): 0 where both are equal; NaN where both are 0, one is and there is no
+        resolution, or one is below 0.
     """
     a, b = _pair(values, baseline)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -190,7 +231,7 @@ def paired_log_ratio(
     Raises
     ------
     ValueError
-        If the samples are empty or of different lengths.
+        If the samples are empty or not of as many worlds or policies.
     """
     mean, lo, hi = mean_interval(log_ratios(values, baseline, resolution), level)
     no_value, no_baseline = ((_sample(sample) == 0.0).any() for sample in (values, baseline))
@@ -235,13 +276,15 @@ def probability_of_improvement(
     """Return the probability that a value lies below one of the baseline, and its interval.
 
     Over all pairs of a value and one of the baseline, equal ones counting half (Mann and Whitney's
-    statistic); both samples are resampled on their own. Where no pair is out of order the bounds
+    statistic); both samples are resampled on their own, policies and worlds of crossed values too
+    (pigeonhole bootstrap). Where no pair is out of order the bounds
     meet at 0 or 1: a bootstrap cannot know of values that were never seen.
 
     Parameters
     ----------
     values, baseline
-        One value a seed, shapes (n,) and (m,); of measures of which less is better.
+        One value a seed, shapes (n,) and (m,), the values also of policies crossed with worlds,
+        shape (P, n); of measures of which less is better.
     level
         Coverage.
     resamples, seed
@@ -260,7 +303,9 @@ def probability_of_improvement(
         pairs = np.expand_dims(a, -1) - np.expand_dims(b, -2)
         return ((pairs < 0.0) + 0.5 * (pairs == 0.0)).mean(axis=(-2, -1))
 
-    estimate = float(share_below(own, other))
+    estimate = float(share_below(own.ravel(), other))
+    if own.ndim == 2 and len(other) > 1:
+        return Interval(estimate, *_pigeonhole(own, other, level, resamples, seed))
     if min(len(own), len(other)) < 2:
         return Interval(estimate, math.nan, math.nan)
     return Interval(estimate, *_percentiles([own, other], share_below, level, resamples, seed))
@@ -269,14 +314,17 @@ def probability_of_improvement(
 def effect_size(differences: npt.ArrayLike) -> float:
     """Return the mean of paired differences over their standard deviation (Cohen's d_z).
 
+    Of policies crossed with worlds, shape (P, W), it is the standard deviation of a pair: the root
+    of the sum of the three variance components.
+
     NaN where a single pair gives no standard deviation, infinite where all differences are equal
     and not 0, 0 where all are 0.
     """
     sample = _sample(differences)
     mean = float(sample.mean())
-    if len(sample) < 2 or math.isnan(mean):
+    if sample.size < 2 or math.isnan(mean):
         return math.nan
-    spread = float(sample.std(ddof=1))
+    spread = _crossed_spread(sample) if sample.ndim == 2 else float(sample.std(ddof=1))
     if spread <= 1e-12 * abs(mean):
         return math.copysign(math.inf, mean) if mean != 0.0 else 0.0
     return mean / spread
@@ -319,28 +367,82 @@ def _percentiles(
     return float(bounds.low), float(bounds.high)
 
 
+def _pigeonhole(
+    own: npt.NDArray[np.float64],
+    other: npt.NDArray[np.float64],
+    level: float,
+    resamples: int,
+    seed: int,
+) -> tuple[float, float]:
+    """Percentile bootstrap of a share of pairs, rows and columns and baseline drawn anew."""
+    rng = np.random.default_rng(seed)
+    below = (own[..., None] < other) + 0.5 * (own[..., None] == other)
+    drawn = [
+        rng.multinomial(count, np.full(count, 1.0 / count), resamples) / count
+        for count in below.shape
+    ]
+    shares = (drawn[0] @ below.reshape(len(own), -1)).reshape(-1, *below.shape[1:])
+    shares = np.einsum("bwo,bw,bo->b", shares, drawn[1], drawn[2])
+    low, high = np.quantile(shares, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
+    return float(low), float(high)
+
+
 def _sample(values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Return values as (n,) or, of two policies or more crossed with two worlds or more, (P, W)."""
     sample = np.asarray(values, dtype=np.float64)
-    if sample.ndim != 1 or not sample.size:
-        raise ValueError(f"values: shape {sample.shape}, must be (n,) with one value or more")
-    return sample
+    if sample.ndim not in (1, 2) or not sample.size:
+        raise ValueError(
+            f"values: shape {sample.shape}, must be (n,) or (policies, worlds) with one value or "
+            "more"
+        )
+    return sample.ravel() if 1 in sample.shape else sample
 
 
 def _pair(
     values: npt.ArrayLike, baseline: npt.ArrayLike
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    a, b = _sample(values), _sample(baseline)
-    if len(a) != len(b):
-        raise ValueError(f"{len(a)} values against {len(b)} of the baseline: must be as many")
-    return a, b
+    """Return both samples in one shape; a baseline of one value a world is paired with each row."""
+    a, b = (np.asarray(sample, dtype=np.float64) for sample in (values, baseline))
+    worlds = {sample.shape[-1] if sample.ndim else 0 for sample in (a, b)}
+    rows = {len(sample) for sample in (a, b) if sample.ndim == 2}
+    if len(worlds) > 1 or len(rows) > 1:
+        shapes = [" by ".join(map(str, sample.shape)) for sample in (a, b)]
+        raise ValueError(f"{shapes[0]} values against {shapes[1]} of the baseline: must be as many")
+    a, b = np.broadcast_arrays(a, b)
+    return _sample(a), _sample(b)
 
 
-def _t_quantile(count: int, level: float) -> float:
+def _crossed_half_width(sample: npt.NDArray[np.float64], level: float) -> float:
+    """Half of the interval of the mean of policies crossed with worlds, shape (P, W)."""
+    means = [sample.mean(axis=axis) for axis in (1, 0)]
+    parts = [float(mean.var(ddof=1)) / len(mean) for mean in means]
+    if math.isnan(sum(parts)):
+        return math.nan
+    if sum(parts) <= (1e-15 * float(np.abs(sample).max())) ** 2:
+        return 0.0
+    shares = [part / sum(parts) for part in parts]
+    freedom = 1.0 / sum(
+        share**2 / (len(mean) - 1) for share, mean in zip(shares, means, strict=True)
+    )
+    return _t_quantile(freedom, level) * math.sqrt(sum(parts))
+
+
+def _crossed_spread(sample: npt.NDArray[np.float64]) -> float:
+    """Return the standard deviation of a pair of policies crossed with worlds, by mean squares."""
+    policies, worlds = sample.shape
+    rows, columns = (sample.mean(axis=axis, keepdims=True) for axis in (1, 0))
+    residual = sample - rows - columns + sample.mean()
+    of_pairs = float((residual**2).sum()) / ((policies - 1) * (worlds - 1))
+    alone = (1.0 - 1.0 / policies - 1.0 / worlds) * of_pairs
+    return math.sqrt(float(rows.var(ddof=1)) + float(columns.var(ddof=1)) + alone)
+
+
+def _t_quantile(freedom: float, level: float) -> float:
     from scipy.special import stdtrit
 
     if not 0.0 < level < 1.0:
         raise ValueError(f"level = {level}: must lie in (0, 1)")
-    return float(stdtrit(count - 1, 0.5 + 0.5 * level)) if count > 1 else math.nan
+    return float(stdtrit(freedom, 0.5 + 0.5 * level)) if freedom > 0 else math.nan
 
 
 def _standard_error(sample: npt.NDArray[np.float64]) -> float:

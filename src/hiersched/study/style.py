@@ -21,10 +21,10 @@ from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedFormatter, FixedLocator, NullFormatter, NullLocator
 
+from hiersched.core.files import write_bytes
 from hiersched.policies.find import EXACT
 from hiersched.policies.registry import RULES, Look
 from hiersched.scenario import Scenario
-from hiersched.study.files import write_bytes
 
 WIDTH_IN = 7.2
 PANEL_HEIGHT_IN = 2.7

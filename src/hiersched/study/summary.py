@@ -15,10 +15,12 @@ from hiersched.control import GainSchedule, spectral_radius_by_delay
 from hiersched.runs.policies import world_slots
 from hiersched.scenario import Scenario
 from hiersched.simulator.loop_gains import plant_of
-from hiersched.study.collect import BASELINE, read_evaluation, violation_column
+from hiersched.study.collect import BASELINE, read_evaluation
 from hiersched.study.comparison import best_classical, standing
 from hiersched.study.intervals import measure_interval, resolution, smallest_late_share
+from hiersched.study.metrics import violation_column
 from hiersched.study.paper import TABLE2, TABLE3
+from hiersched.study.samples import counts, paired
 from hiersched.study.statistics import (
     Interval,
     interval_columns,
@@ -78,7 +80,9 @@ def measures(scenario: Scenario) -> list[str]:
 def summarise(
     runs: pd.DataFrame, by: Sequence[str], names: Sequence[str], scenario: Scenario
 ) -> pd.DataFrame:
-    """Return the mean of each measure over a group's seeds, and its interval as ``_lo``, ``_hi``.
+    """Return the mean of each measure over a group's runs, and its interval as ``_lo``, ``_hi``.
+
+    `seeds` are the worlds, `training_seeds` the policies of a learner, 0 of a rule: see `samples`.
 
     Parameters
     ----------
@@ -94,7 +98,7 @@ def summarise(
     rows = []
     for key, group in runs.groupby(list(by), sort=False):
         row: dict[str, Any] = dict(zip(by, key, strict=True))
-        row["seeds"] = len(group)
+        row |= counts(group)
         for name in names:
             row |= interval_columns(name, measure_interval(name, group, scenario))
         rows.append(row)
@@ -103,6 +107,8 @@ def summarise(
 
 def policy_table(runs: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
     """Return one row a policy: all measures over the evaluation's worlds, medians beside means.
+
+    Of a learned policy, over all its policies in all worlds.
 
     `urllc_late_share_smallest` is the least late share that these worlds tell from 0. How the
     policy stands against the best classical scheduler comes from `standing.standing`.
@@ -126,7 +132,8 @@ def comparison_table(runs: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
     """Compare every policy with PF, then with the best classical scheduler, in the same worlds.
 
     Typical ratios and mean differences; both intervals are Student's, that of the ratio on its
-    logarithm.
+    logarithm. `seeds_below_baseline` counts worlds, of a learned policy its pairs of policy and
+    world.
     """
     policies = list(dict.fromkeys(runs["policy"]))
     baselines = [name for name in (BASELINE, best_classical(runs)) if name in policies]
@@ -145,18 +152,16 @@ def _compared(
     runs: pd.DataFrame, policy: str, baseline: str, scenario: Scenario
 ) -> list[dict[str, Any]]:
     rows: list[dict[str, Any]] = []
-    own, other = (runs[runs["policy"] == name].set_index("seed") for name in (policy, baseline))
+    own, other = (runs[runs["policy"] == name] for name in (policy, baseline))
     both = pd.concat([own, other])
-    if list(own.index) != list(other.index):
-        raise ValueError(f"{policy} and {baseline} did not run in the same worlds")
     for name in COMPARED:
-        a, b = own[name].to_numpy(np.float64), other[name].to_numpy(np.float64)
+        a, b = paired(own, other, name)
         rows.append(
             {
                 "policy": policy,
                 "baseline": baseline,
                 "measure": name,
-                "seeds": len(a),
+                **counts(own),
                 "mean": float(a.mean()),
                 "baseline_mean": float(b.mean()),
                 **interval_columns(

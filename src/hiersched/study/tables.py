@@ -10,6 +10,7 @@ from typing import Any
 
 import pandas as pd
 
+from hiersched.core.files import csv_text, write_bytes
 from hiersched.scenario import Scenario, load_scenario, scenario_notes, scenario_to_dict
 from hiersched.scenario.plugins import CONFIG
 from hiersched.study.collect import (
@@ -25,7 +26,6 @@ from hiersched.study.comparison import (
     generalisation_table,
     score_table,
 )
-from hiersched.study.files import csv_text, write_bytes
 from hiersched.study.gain_summary import (
     grid_table,
     methods_table,
@@ -45,9 +45,13 @@ from hiersched.study.summary import (
 )
 
 _SEEDS = "Means over seeds, in brackets their Student t 95 % intervals."
-_MEDIAN = "`…_median`: over worlds."
+_LOGGED = (
+    "The learned policy's slots are those of its logs: world i ran the policy of training seed i."
+)
+_MEDIAN = "`…_median`: over worlds, of learned policies over policies and worlds."
 _LEARNED = (
-    "The learned policy has one trained policy a world: its intervals mix training seed and world."
+    "Learned policies: every trained policy in every world, ratios and differences by world within "
+    "each; intervals have the parts of both."
 )
 _RATIO = (
     "Ratios are geometric means over the same worlds, in brackets Student's 95 % interval of their "
@@ -82,7 +86,7 @@ TITLES = {
         "Table III: mean data rate of the URLLC users",
         f"{_SEEDS} Slot 1 is the first slot of a run; `mean` is over the whole run. The channel "
         "gain is the mean of |h|² over URLLC users and PRBs, 2 s² in expectation; the paper does "
-        f"not define its own. {_RATIO}",
+        f"not define its own. {_RATIO} {_LOGGED}",
     ),
     "policies": (
         "Policies in the same worlds",
@@ -130,14 +134,14 @@ TITLES = {
         "Learners along the load, against the scenario's own",
         f"{INTERVAL_NOTE} `differs`: keys of the section `learning` that are not the scenario's. "
         "Columns `…_minus_own`, `…_over_own`: paired differences from the scenario's own learner, "
-        f"and typical ratios, world by world and training seed by training seed. {_NONE}",
+        f"and typical ratios, the k-th training seeds of both in the same world. {_NONE}",
     ),
     "scores": (
         "Policies over all loads",
         "Score: log(PF / own) / log(PF / best classical scheduler of the load) of mean square "
         "backlogs, both summed over the loads; 0 is PF, 1 the best. Mean and Student t 95 % "
-        "interval over worlds. `shorter_worlds`: share of worlds and loads in which the policy's "
-        "mean square backlog is below that of the best classical scheduler.",
+        f"interval over worlds. {_LEARNED} `shorter_worlds`: share of worlds and loads in which "
+        "the policy's mean square backlog is below that of the best classical scheduler.",
     ),
     "generalisation": (
         "Trained policies where they were not trained",
@@ -148,7 +152,8 @@ TITLES = {
     "bound": (
         "Distance from the exact optimum of a slot",
         "`gap`: drift-plus-penalty Lagrangian of the decision minus that of the exact optimum in "
-        "the same state, mean and Student t 95 % interval over worlds. `uncertified`: what the "
+        "the same state, mean and Student t 95 % interval over worlds, world i under the learned "
+        "policy of training seed i. `uncertified`: what the "
         "solver's bound leaves open. `first_gap`: sum from giving everyone the first PRB greedily "
         "minus exactly; `first_log_rate_gap`: the same for minus the logarithm of the rates.",
     ),
@@ -176,7 +181,7 @@ _MEDIANS = ("urllc_late_share", "embb_late_share", "mean_square_backlog")
 _READ_INTERVALS = [f"{name}{end}" for name in _READ_MEASURES for end in ("", "_lo", "_hi")]
 READ_COLUMNS = {
     "policies": [
-        *["policy", "seeds", *_READ_INTERVALS],
+        *["policy", "seeds", "training_seeds", *_READ_INTERVALS],
         *[f"{name}_median" for name in _MEDIANS],
         "urllc_late_share_smallest",
         *[
@@ -247,7 +252,7 @@ def write_tables(
     written = []
     for name, table in tables.items():
         written.append(write_bytes(folder / f"{name}.csv", csv_text(table).encode()))
-        if name in TITLES:  # `runs` has a row for every log: numbers to compute with, not to read
+        if name in TITLES:  # `runs` has a row for every run: numbers to compute with, not to read
             shown = table[READ_COLUMNS[name]] if name in READ_COLUMNS else table
             text = markdown_text(shown, *TITLES[name])
             written.append(write_bytes(folder / f"{name}.md", text.encode()))

@@ -26,7 +26,8 @@ RULE = (
     "as configured and no sensitivity run contradicts it; not reproduced where it does not hold "
     "there nor in any sensitivity run; it depends in all other cases. It also depends where fewer "
     "than 95 % of the ways to halve the seeds (126 for ten) agree: both halves have to put the "
-    "estimates on the same side of the claim as all seeds do. Classical schedulers and controls "
+    "estimates on the same side of the claim as all seeds do. Of learned policies training seeds "
+    "are halved, and each half meets all worlds. Classical schedulers and controls "
     "that learn nothing are shown beside the learned policies and do not count."
 )
 
@@ -38,9 +39,9 @@ AGREEING = 0.95
 class Statement:
     """A number, its interval and the open range that the claim puts it into.
 
-    `effect` is the standardised effect: mean over standard deviation of `values`, one a seed, whose
-    mean is the estimate: the numbers or paired differences themselves, or, of ratios, their
-    `logarithms`.
+    `effect` is the standardised effect: mean over standard deviation of `values`, whose mean is the
+    estimate: the numbers or paired differences themselves, or, of ratios, their `logarithms`. There
+    is one a seed, or, of trained policies in all worlds, one tuple a training seed.
     """
 
     name: str
@@ -49,16 +50,19 @@ class Statement:
     above: float = -math.inf
     below: float = math.inf
     effect: float
-    values: tuple[float, ...] = ()
+    values: tuple[float, ...] | tuple[tuple[float, ...], ...] = ()
     logarithms: bool = False
 
     @property
     def count(self) -> int:
-        """Seeds."""
+        """Seeds: those of the training where there are several, else worlds."""
         return len(self.values)
 
     def claimed_by(self, seeds: NDArray[np.intp]) -> bool:
-        """Whether the estimate from some of the seeds alone lies within the claimed range."""
+        """Whether the estimate from some of the seeds alone lies within the claimed range.
+
+        Of trained policies these are training seeds, each in all worlds.
+        """
         estimate = float(np.mean(np.asarray(self.values)[seeds]))
         return self.above < (math.exp(estimate) if self.logarithms else estimate) < self.below
 
