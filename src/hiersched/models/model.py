@@ -137,6 +137,19 @@ class Arrivals(Model):
         """Return what the base station expects."""
         raise NotImplementedError
 
+    @staticmethod
+    def offered_mbps(scenario: Scenario) -> NDArray[np.float64]:
+        """Return the offered load of every user, `load` included, shape (U,) [Mbit/s]."""
+        traffic, users = scenario.traffic, scenario.users
+        of_slices = (
+            np.broadcast_to(np.asarray(value, np.float64), (count,))
+            for value, count in (
+                (traffic.urllc_offered_mbps, users.num_urllc),
+                (traffic.embb_offered_mbps, users.num_embb),
+            )
+        )
+        return traffic.load * np.concatenate(list(of_slices))
+
     def packets_at_once(self) -> float:
         """Return how many packets come together: shares of late ones differ by this many."""
         return 1.0
@@ -196,7 +209,8 @@ class Section(Registry[type[Model]]):
         Raises
         ------
         PluginError
-            If it has no such field, or is no frozen dataclass, or no model of this kind.
+            If it has no such field, or is no frozen dataclass, or no model of this kind, or has
+            fields of its own in the log, which nothing writes yet.
         """
         names = get_args(get_type_hints(cls).get("model"))
         is_frozen = "__dataclass_fields__" in vars(cls) and cls.__dataclass_params__.frozen  # type: ignore[attr-defined]
@@ -204,6 +218,11 @@ class Section(Registry[type[Model]]):
             raise PluginError(
                 f"{cls.__qualname__}: a model of {self.key} is a frozen dataclass, a "
                 f'{self.base.__name__}, with a field `model: Literal["its_name"]`'
+            )
+        if cls.log_fields:
+            raise PluginError(
+                f"{cls.__qualname__}.log_fields = {dict(cls.log_fields)}: must be {{}}: no log has "
+                "fields of a model's own yet"
             )
         self.add(names[0], cls)
         return cls
