@@ -109,7 +109,7 @@ class Seam:
             If the seam has no kernel for this NamedTuple, or it does not compile.
         """
         if not self.fits(words):
-            known = ", ".join(kind.__name__ for kind in self._kernels) or "none"
+            known = ", ".join(dict.fromkeys(kind.__name__ for kind in self._kernels)) or "none"
             raise KernelError(
                 f"{_file_of(type(words))}: {type(words).__name__} has no kernel for the seam "
                 f"{self.name}: a NamedTuple, and a function decorated with `kernel` of the seam "
@@ -200,12 +200,22 @@ def _reason(error: Exception) -> str:
     lines = [line.strip() for line in _short_types(str(error)).splitlines()]
     said = [line for line in lines if line and not line.startswith(_PREAMBLE)]
     places = re.findall(r'File "[^"]*", line \d+', str(error))
-    reason = said[0] if said else type(error).__name__
+    reason = said[0].rstrip(":") if said else type(error).__name__
+    reason += next((f" ({hint})" for part, hint in _HINTS.items() if part in reason), "")
     return f"{reason} (line {places[-1].split()[-1]})" if places else reason
 
 
 _PREAMBLE = ("Failed in", "During:", "File ", "Internal error")
 """Lines of Numba's messages that say where it was at work."""
+
+
+_HINTS = {
+    "No definition for lowering": "a kernel cannot change a number: keep what evolves in an array",
+    "No implementation of function Function(<built-in function zeros>": "a kernel cannot make "
+    "arrays: work arrays belong to its words",
+    "No implementation of function Function(<built-in function empty>": "a kernel cannot make "
+    "arrays: work arrays belong to its words",
+}
 
 
 def _short_types(text: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from hiersched.core.randomness import world_keys
 from hiersched.scenario.schema import Scenario
-from hiersched.simulator.loop_gains import nominal_gains
+from hiersched.simulator.loop_gains import LoopGains, nominal_gains
 from hiersched.simulator.record import SlotFields
 from hiersched.simulator.simulator import AnyPolicy, Simulator
 
@@ -30,9 +31,10 @@ def check_models(
 ) -> None:
     """Run the models of a scenario, and its policies, and look for what no model may do.
 
-    Worlds in a batch are those alone; an episode after another one is that of a new simulator; a
-    slot depends on nothing that is left in the slot in work, so every field is written; all numbers
-    are finite; no draw of a world depends on a decision.
+    Worlds in a batch are those alone, whether their slots run in one call or one by one; an episode
+    after another one is that of a new simulator; a slot depends on nothing that is left in the slot
+    in work, so every field is written; all numbers are finite; no draw of a world depends on a
+    decision.
 
     Parameters
     ----------
@@ -51,6 +53,7 @@ def check_models(
     trial = _Trial(scenario, num_slots)
     first = [trial.run(policy) for policy in policies]
     faults = [fault for fields in first for fault in _not_finite(fields)]
+    faults += trial.of_robots()
     for policy, fields in zip(policies, first, strict=True):
         faults += trial.of_policy(policy, fields)
     for policy, fields in zip(policies[1:], first[1:], strict=True):
@@ -65,7 +68,7 @@ class _Trial:
 
     def __init__(self, scenario: Scenario, num_slots: int) -> None:
         self.scenario, self.num_slots = scenario, num_slots
-        self.gains = nominal_gains(scenario)
+        self.gains = _distinct_gains(scenario)
         self.keys = world_keys("check", 1, _NUM_WORLDS)
 
     def simulator(self, keys: NDArray[np.uint64]) -> Simulator:
@@ -73,6 +76,24 @@ class _Trial:
 
     def run(self, policy: AnyPolicy) -> Fields:
         return self.simulator(self.keys).run(policy)._asdict()
+
+    def of_robots(self) -> Iterator[str]:
+        """Faults of robots under forced delays, from the first slot on up to the longest."""
+        rng = np.random.default_rng(1)
+        shape = _NUM_WORLDS, self.num_slots, self.scenario.users.num_urllc
+        delays = rng.uniform(0.0, 1.2 * self.scenario.control.max_delay_s, shape)
+        simulator = self.simulator(self.keys)
+        first = simulator.run_robots(delays)._asdict()
+        simulator.reset(self.keys)
+        again = simulator.run_robots(delays)._asdict()
+        yield from _differ("`reset` leaves something of the episode before", again, first)
+        for world in range(_NUM_WORLDS):
+            alone = self.simulator(self.keys[world : world + 1])
+            fields = alone.run_robots(delays[world : world + 1])._asdict()
+            of_batch = {name: values[world : world + 1] for name, values in first.items()}
+            yield from _differ(
+                "a world in a batch differs from the same world alone", fields, of_batch
+            )
 
     def of_policy(self, policy: AnyPolicy, expected: Fields) -> Iterator[str]:
         """Faults of runs that have to be the expected one."""
@@ -83,29 +104,41 @@ class _Trial:
                 "a world in a batch differs from the same world alone", alone, of_batch
             )
         simulator = self.simulator(self.keys[::-1])
-        simulator.run(policy)
+        left = simulator.run(policy).state[:, -1]
+        if not np.array_equal(simulator.state.robot_state, left):
+            yield "state.robot_state: must be slot.state, for policies that observe the robots"
         simulator.reset(self.keys)
         again = simulator.run(policy)._asdict()
         yield from _differ("`reset` leaves something of the episode before", again, expected)
-        yield from _differ(
-            "not written in every slot", *map(self.left_over(policy), (0, 2**64 - 1))
-        )
+        zeros, ones = (self.run_over(policy, word) for word in (0, 2**64 - 1))
+        yield from _differ("not written in every slot", zeros, ones)
+        in_one_call = {name: expected[name] for name in zeros}
+        yield from _differ("slots one by one are others than in one call", zeros, in_one_call)
 
-    def left_over(self, policy: AnyPolicy) -> Any:
-        """Return a function that runs slot by slot, with a word all over the slot in work."""
+    def run_over(self, policy: AnyPolicy, word: int) -> Fields:
+        """Run slot by slot over a slot in work that is full of a word."""
+        simulator = self.simulator(self.keys)
+        slots = []
+        for _ in range(self.num_slots):
+            simulator.slot_in_work.words[:] = word
+            slots.append(simulator.run(policy, 1)._asdict())
+        names = list(SlotFields._fields)
+        if not self.scenario.plant.has_pose:
+            names.remove("reference")  # there is none
+        return {name: np.concatenate([slot[name] for slot in slots], axis=1) for name in names}
 
-        def run(word: int) -> Fields:
-            simulator = self.simulator(self.keys)
-            slots = []
-            for _ in range(self.num_slots):
-                simulator.slot_in_work.words[:] = word
-                slots.append(simulator.run(policy, 1)._asdict())
-            names = list(SlotFields._fields)
-            if not self.scenario.plant.has_pose:
-                names.remove("reference")  # there is none
-            return {name: np.concatenate([slot[name] for slot in slots], axis=1) for name in names}
 
-        return run
+def _distinct_gains(scenario: Scenario) -> LoopGains:
+    """Return gains of every delay that differ by a little: which one is in force shows."""
+    gains = nominal_gains(scenario)
+    count = len(gains.adjusted)
+    factor = (1.0 - 0.01 * np.arange(count) / count)[:, None, None]
+    return replace(
+        gains,
+        local_gains=factor * gains.local_gains,
+        network_gains=factor * gains.network_gains,
+        adjusted=np.arange(count) > 0,
+    )
 
 
 def _not_finite(fields: Fields) -> list[str]:
