@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from hiersched.core.randomness import (
+    FIRST_FREE_STREAM,
     STREAM_ARRIVAL,
     STREAM_DELAY,
     STREAM_FADING,
@@ -16,6 +17,7 @@ from hiersched.core.randomness import (
     STREAM_ROBOT,
     draw_exponentials,
     draw_normals,
+    draw_stream_normals,
     draw_uniforms,
     normal_scratch,
     philox4x32,
@@ -122,6 +124,31 @@ def test_normals_are_the_twins(robots):
     for robot in range(robots):
         for j in range(5):
             assert got[robot, j] == pytest.approx(flat[j * robots + robot], abs=2e-5)
+
+
+def stream_normals(stream=FIRST_FREE_STREAM, slot=5, lane=0, count=50):
+    out = np.empty(count, np.float32)
+    draw_stream_normals(KEY, np.uint32(stream), slot, lane, out)
+    return out
+
+
+def test_normals_of_a_stream_are_the_twins():
+    """One block a user; the cosine of Box and Muller's pair, with the sign of `sincos_turn_f32`."""
+    for lane in (0, 3):
+        table = [philox_twin((lane, user, 5, 64), words(KEY)) for user in range(50)]
+        a, b = (((np.array(table)[:, word] >> 9) + 0.5) / 2**23 for word in (0, 1))
+        expected = -np.sqrt(-2.0 * np.log(a)) * np.cos(2.0 * np.pi * b)
+        np.testing.assert_allclose(stream_normals(lane=lane), expected, atol=2e-5)
+    np.testing.assert_array_equal(stream_normals()[:7], stream_normals(count=7))
+
+
+def test_normals_of_a_stream_are_normal_and_of_streams_of_their_own():
+    drawn = np.concatenate([stream_normals(slot=slot, count=200) for slot in range(50)])
+    assert stats.kstest(drawn, "norm").pvalue > 1e-3
+    other = np.concatenate([stream_normals(65, slot=slot, count=200) for slot in range(50)])
+    assert abs(np.corrcoef(drawn, other)[0, 1]) < 0.04  # four standard errors
+    streams = (STREAM_FADING, STREAM_ARRIVAL, STREAM_ROBOT, STREAM_POSITION, STREAM_DELAY)
+    assert max(streams) < FIRST_FREE_STREAM
 
 
 def test_a_user_or_slot_does_not_depend_on_what_is_drawn_beside_it():

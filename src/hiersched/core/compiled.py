@@ -5,14 +5,14 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import numba
-from numba import njit
+from numba import njit, types
 from numba.core import event
+from numba.core.caching import IndexDataCacheFile
 from numba.core.registry import CPUDispatcher
 
 PACKAGE = Path(__file__).resolve().parents[1]
@@ -39,13 +39,60 @@ def _cache_folder() -> Path:
 if not os.environ.get("NUMBA_CACHE_DIR"):
     numba.config.CACHE_DIR = str(_cache_folder())
 
-kernel = partial(njit, error_model="numpy", _nrt=False, cache=True, no_cfunc_wrapper=True)
-"""Decorator of the kernels, compiled once a machine.
 
-No reference counting: the kernels allocate nothing, and counting every view of an array took a
-third of the slot loop's time. Division by zero is that of IEEE 754. No entry for C callbacks, which
-nobody uses and whose compilation takes a tenth of the whole.
-"""
+class _IndexByClasses(IndexDataCacheFile):
+    """Index of a kernel's machine code: one for each set of NamedTuples that are not of the package.
+
+    Numba reads an index as a whole: where it mentions a class that is not there, of a plug-in that
+    this process has not imported or whose class has another name now, not even the entries of our
+    own types could be read.
+    """
+
+    def load(self, key: Any) -> Any:
+        """Load the machine code of a signature, None where there is none."""
+        return IndexDataCacheFile.load(self._of(key), key)
+
+    def save(self, key: Any, data: Any) -> None:
+        """Keep the machine code of a signature."""
+        IndexDataCacheFile.save(self._of(key), key, data)
+
+    def _of(self, key: Any) -> IndexDataCacheFile:
+        classes = sorted(set(_outside_classes(key[0])))
+        if not classes:
+            return self
+        base = self._index_name.removesuffix(".nbi")
+        digest = hashlib.sha256("\n".join(classes).encode()).hexdigest()[:16]
+        return IndexDataCacheFile(self._cache_path, f"{base}.{digest}", self._source_stamp)
+
+
+def _outside_classes(kinds: Any) -> Iterator[str]:
+    """Names of the NamedTuples in Numba's types that are not of this package."""
+    for kind in kinds:
+        struct = getattr(kind, "struct", kind)  # of a pointer
+        found = getattr(struct, "instance_class", None)
+        if found is not None and not found.__module__.startswith(f"{PACKAGE.name}."):
+            yield f"{found.__module__}.{found.__qualname__}"
+        if isinstance(struct, types.BaseTuple):
+            yield from _outside_classes(struct.types)
+
+
+def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Decorate a kernel, compiled once a machine.
+
+    No reference counting: the kernels allocate nothing, and counting every view of an array took a
+    third of the slot loop's time. Division by zero is that of IEEE 754. No entry for C callbacks,
+    which nobody uses and whose compilation takes a tenth of the whole.
+    """
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        dispatcher = njit(
+            error_model="numpy", _nrt=False, cache=True, no_cfunc_wrapper=True, **options
+        )(function)
+        if isinstance(dispatcher, CPUDispatcher):  # else NUMBA_DISABLE_JIT is set
+            dispatcher._cache._cache_file.__class__ = _IndexByClasses
+        return dispatcher
+
+    return decorate
 
 
 class _InnerKernel(CPUDispatcher):

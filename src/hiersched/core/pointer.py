@@ -17,6 +17,7 @@ import numpy as np
 from llvmlite import ir
 from numba import typeof, types
 from numba.core import cgutils
+from numba.core.errors import NumbaAttributeError
 from numba.core.typing.templates import AttributeTemplate
 from numba.extending import (
     NativeValue,
@@ -66,7 +67,9 @@ class _PointerAttributes(AttributeTemplate):
 
     def generic_resolve(self, pointer: PointerType, name: str) -> types.Type | None:
         if name not in pointer.struct.fields:
-            return None
+            known = ", ".join(pointer.struct.fields) or "none"
+            kind = pointer.struct.instance_class.__name__
+            raise NumbaAttributeError(f"{kind} has no field {name!r}; its fields are {known}")
         kind = pointer.struct.types[pointer.struct.fields.index(name)]
         return PointerType(kind) if isinstance(kind, types.BaseNamedTuple) else kind
 

@@ -16,6 +16,7 @@ import ast
 import hashlib
 import importlib.util
 import inspect
+import re
 import sys
 import sysconfig
 from collections.abc import Callable, Iterator
@@ -25,6 +26,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit, types
+from numba.core.errors import NumbaError
 from numba.extending import intrinsic
 
 from hiersched.core.compiled import PACKAGE, inner_kernel
@@ -32,6 +34,10 @@ from hiersched.core.pointer import Pointer
 
 FORM = ("me", "constants", "state", "slot", "env")
 """Parameters of a model's kernel."""
+
+
+class KernelError(TypeError, ValueError):
+    """A kernel that cannot be plugged in: the message names its file, the seam and the reason."""
 
 
 class Plug(NamedTuple):
@@ -99,15 +105,29 @@ class Seam:
 
         Raises
         ------
-        TypeError
-            If the seam has no kernel for this NamedTuple.
+        KernelError
+            If the seam has no kernel for this NamedTuple, or it does not compile.
         """
         if not self.fits(words):
-            raise TypeError(f"{type(words).__name__} has no kernel for the seam {self.name}")
+            known = ", ".join(dict.fromkeys(kind.__name__ for kind in self._kernels)) or "none"
+            raise KernelError(
+                f"{_file_of(type(words))}: {type(words).__name__} has no kernel for the seam "
+                f"{self.name}: a NamedTuple, and a function decorated with `kernel` of the seam "
+                f"and this class (there are kernels for {known})"
+            )
+        _check_words(words, f"{_file_of(type(words))}: {type(words).__name__}")
         function = self._kernels[type(words)]
         me = Pointer(words, self._sources[type(words)])
         kinds = (me.kind, *(argument.kind for argument in arguments), types.int64)
-        return Plug(address_of(function, kinds), me.address), me
+        try:
+            address = address_of(function, kinds)
+        except (NumbaError, NotImplementedError, KernelError) as error:
+            python = getattr(function, "py_func", function)
+            raise KernelError(
+                f"{_file_of(python)}: {python.__name__}, the kernel of {type(words).__name__} for "
+                f"the seam {self.name}, does not compile: {_reason(error)}"
+            ) from error
+        return Plug(address, me.address), me
 
 
 @njit(inline="always")
@@ -143,10 +163,73 @@ def _call(context: Any, builder: Any, address: Any, inner: Any, values: Any) -> 
 
 
 def address_of(function: Any, kinds: tuple[types.Type, ...]) -> int:
-    """Compile a kernel for argument types, or load it, and say where it lies."""
+    """Compile a kernel for argument types, or load it, and say where it lies.
+
+    Raises
+    ------
+    KernelError
+        If it returns something: it is called as a function that does not.
+    """
     function.compile(kinds)
     result = function.overloads[kinds]
+    if result.signature.return_type != types.none:
+        raise KernelError(f"it returns {result.signature.return_type}; a kernel returns nothing")
     return int(result.library.get_pointer_to_function(result.fndesc.llvm_func_name))
+
+
+def _file_of(thing: Any) -> str:
+    """Return the name of the file in which something is defined, for messages."""
+    file = getattr(sys.modules.get(thing.__module__), "__file__", None)
+    return thing.__module__ if file is None else Path(file).name
+
+
+def _check_words(words: Any, place: str) -> None:
+    """Raise where a field of a NamedTuple is none that a kernel can read."""
+    for name, value in zip(words._fields, words, strict=True):
+        if isinstance(value, tuple) and hasattr(value, "_fields"):
+            _check_words(value, f"{place}.{name}")
+        elif not isinstance(value, bool | int | float | np.generic | np.ndarray):
+            raise KernelError(
+                f"{place}.{name} is of type {type(value).__name__}: must be a number, a NumPy "
+                "array, or a NamedTuple of these"
+            )
+
+
+def _reason(error: Exception) -> str:
+    """Return what Numba says in one line; its own text follows in the traceback."""
+    lines = [line.strip() for line in _short_types(str(error)).splitlines()]
+    said = [line for line in lines if line and not line.startswith(_PREAMBLE)]
+    places = re.findall(r'File "[^"]*", line \d+', str(error))
+    reason = said[0].rstrip(":") if said else type(error).__name__
+    reason += next((f" ({hint})" for part, hint in _HINTS.items() if part in reason), "")
+    return f"{reason} (line {places[-1].split()[-1]})" if places else reason
+
+
+_PREAMBLE = ("Failed in", "During:", "File ", "Internal error")
+"""Lines of Numba's messages that say where it was at work."""
+
+
+_HINTS = {
+    "No definition for lowering": "a kernel cannot change a number: keep what evolves in an array",
+    "No implementation of function Function(<built-in function zeros>": "a kernel cannot make "
+    "arrays: work arrays belong to its words",
+    "No implementation of function Function(<built-in function empty>": "a kernel cannot make "
+    "arrays: work arrays belong to its words",
+}
+
+
+def _short_types(text: str) -> str:
+    """Leave of a pointer's type the name of the NamedTuple: all its fields follow otherwise."""
+    short, start = "", 0
+    for found in re.finditer(r"Pointer\((\w+)\(", text):
+        if found.start() < start:
+            continue
+        short += text[start : found.start()] + found[1]
+        start, depth = found.end(), 2
+        while start < len(text) and depth:
+            depth += {"(": 1, ")": -1}.get(text[start], 0)
+            start += 1
+    return short + text[start:]
 
 
 def _outside_sources(function: Callable[..., Any]) -> str:

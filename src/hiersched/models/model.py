@@ -156,6 +156,19 @@ class Arrivals(Model):
         """Return what the base station expects."""
         raise NotImplementedError
 
+    @staticmethod
+    def offered_mbps(scenario: Scenario) -> NDArray[np.float64]:
+        """Return the offered load of every user, `load` included, shape (U,) [Mbit/s]."""
+        traffic, users = scenario.traffic, scenario.users
+        of_slices = (
+            np.broadcast_to(np.asarray(value, np.float64), (count,))
+            for value, count in (
+                (traffic.urllc_offered_mbps, users.num_urllc),
+                (traffic.embb_offered_mbps, users.num_embb),
+            )
+        )
+        return traffic.load * np.concatenate(list(of_slices))
+
     def packets_at_once(self) -> float:
         """Return how many packets come together: shares of late ones differ by this many."""
         return 1.0

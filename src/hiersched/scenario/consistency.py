@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
 from importlib import import_module
 from typing import Any
 
@@ -266,7 +267,7 @@ def _parameter_faults(kind: type, place: str, values: Mapping[str, Any]) -> list
     try:
         read_strictly(kind, values)
     except ValidationError as error:
-        return own_faults(error, place, values)
+        return own_faults(error, place, values, [field.name for field in fields(kind)])
     return []
 
 

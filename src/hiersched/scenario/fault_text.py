@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any, get_type_hints
@@ -52,18 +52,25 @@ def describe(
     return "\n".join(dict.fromkeys(lines))
 
 
-def own_faults(error: ValidationError, place: str, values: Mapping[str, Any]) -> list[str]:
-    """Return the faults of a mapping that stands at a dotted place, as ``key = value: …``."""
+def own_faults(
+    error: ValidationError, place: str, values: Mapping[str, Any], allowed: Sequence[str]
+) -> list[str]:
+    """Return the faults of a mapping that stands at a dotted place, as ``key = value: …``.
+
+    `allowed` are the keys that the mapping may have.
+    """
     faults = []
     for item in error.errors():
         location = item["loc"]
         while location and not _holds(values, location) and item["type"] != "missing":
             location = location[:-1]
-        faults.append(f"{place}.{_fault(item, location, values)}")
+        faults.append(f"{place}.{_fault(item, location, values, allowed)}")
     return list(dict.fromkeys(faults))
 
 
-def _fault(item: Any, location: Location, merged: Mapping[str, Any]) -> str:
+def _fault(
+    item: Any, location: Location, merged: Mapping[str, Any], allowed: Sequence[str] | None = None
+) -> str:
     key = ".".join(str(part) for part in location)
     if item["type"] == "missing":
         return f"{key}: missing"
@@ -71,7 +78,7 @@ def _fault(item: Any, location: Location, merged: Mapping[str, Any]) -> str:
     message = item["msg"].replace("Input should be", "must be")
     if item["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         message = new_key(key, value) or "unknown key"
-        allowed = allowed_keys(location[:-1], merged)
+        allowed = allowed_keys(location[:-1], merged) if allowed is None else allowed
         if message == "unknown key" and allowed:
             message += f"; allowed: {', '.join(allowed)}"
     elif isinstance(value, str) and re.fullmatch(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+", value):

@@ -244,6 +244,7 @@ def _decide(plugs: Any, constants: Any, state: Any, scratch: Any, slot: Any, env
         if plugs.how == BY_UTILITY:  # an urgency is no utility: weights leave it alone
             for user in range(slot.rate_mbps.shape[0]):
                 state.index_weight[env, user] *= state.weight[env, user]
+    _check_weights(plugs.how, state.index_weight[env])
     call_at(
         plugs.allocation.kernel,
         plugs.code,
@@ -255,6 +256,18 @@ def _decide(plugs: Any, constants: Any, state: Any, scratch: Any, slot: Any, env
         plugs.allocation.words,
         slot.prb_owner,
     )
+
+
+@inner_kernel()
+def _check_weights(how: int, weight: NDArray[np.float64]) -> None:
+    """Refuse what no allocation takes: factors that are negative, what is not finite."""
+    least = 0.0 if how == BY_UTILITY else -np.inf
+    wrong = 0
+    for user in range(weight.shape[0]):
+        if not (least <= weight[user] < np.inf):
+            wrong += 1
+    if wrong > 0:
+        raise ValueError("a policy gave a user a weight that is negative or not finite")
 
 
 @inner_kernel()

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.allocation.objective import UserTerms
-from hiersched.models.model import Setup, num_model_values
+from hiersched.models.model import Belief, Setup, num_model_values
 from hiersched.models.plant.feedback import LoopConstants
 from hiersched.scenario.schema import Scenario
 
@@ -156,10 +156,10 @@ def slot_constants(scenario: Scenario, gains: Gains) -> SlotConstants:
     Raises
     ------
     ValueError
-        If the gains do not cover the scenario's delays.
+        If the gains do not cover the scenario's delays, or the belief is not one of every user.
     """
     radio, traffic, objective = scenario.radio, scenario.traffic, scenario.objective
-    belief = traffic.arrivals.belief(scenario)
+    belief = _belief(scenario)
     of_slice = [scenario.users.num_urllc, scenario.users.num_embb]
     deadline_s = np.repeat([traffic.deadline_s, traffic.embb_deadline_s], of_slice)
     return SlotConstants(
@@ -184,6 +184,20 @@ def slot_constants(scenario: Scenario, gains: Gains) -> SlotConstants:
         reward_scale=scenario.learning.reward_scale,
         loop=loop_constants(scenario, gains),
     )
+
+
+def _belief(scenario: Scenario) -> Belief:
+    """Return what the base station expects of the arrivals, in the types of the slot loop."""
+    arrivals = scenario.traffic.arrivals
+    shape = (scenario.num_users,)
+    belief = Belief(*(np.array(values, np.float64) for values in arrivals.belief(scenario)))
+    for name, values in belief._asdict().items():
+        if values.shape != shape or not (np.isfinite(values).all() and (values >= 0.0).all()):
+            raise ValueError(
+                f"{type(arrivals).__module__}.{type(arrivals).__qualname__}.belief: {name} = "
+                f"{values}: must be finite and not negative, shape {shape}"
+            )
+    return belief
 
 
 def _near_integer(values: NDArray[np.float64]) -> NDArray[np.float64]:

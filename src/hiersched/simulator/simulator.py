@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hiersched.allocation.allocate import ALLOCATIONS, AllocatorScratch, allocator_scratch
 from hiersched.allocation.objective import user_terms
 from hiersched.core.pointer import Pointer
-from hiersched.core.seam import UNUSED, Plug, Seam, address_of
+from hiersched.core.seam import UNUSED, KernelError, Plug, Seam, address_of
 from hiersched.models import seams
 from hiersched.models.model import Model, Setup, num_model_values
 from hiersched.policies.features import num_features, observe_worlds
@@ -77,6 +77,8 @@ class Simulator:
         The scenario's models by their place in the loop, and `words`, what each of them is made of.
     view
         What policies in Python are shown.
+    slot_in_work
+        The memory in which the kernels form a slot, whose words go into the record.
 
     Raises
     ------
@@ -102,7 +104,7 @@ class Simulator:
             scenario.robot_sizes,
             num_model_values(scenario),
         )
-        one = self._layout.slot()
+        self.slot_in_work = one = self._layout.slot()
         self._scratch = Pointer(SlotScratch(terms=user_terms(self.constants)))
         self._allocator: AllocatorScratch = allocator_scratch(
             scenario.num_users, scenario.radio.num_prb
@@ -120,10 +122,12 @@ class Simulator:
         self._observe: Any = None
         self.reset(keys)
 
-    def _plug(self, seam: Seam, name: str) -> Plug:
-        """Plug a model into a seam; UNUSED where it has no kernel."""
+    def _plug(self, seam: Seam, name: str, *, needed: bool = True) -> Plug:
+        """Plug a model into a seam; UNUSED where it has no kernel and needs none."""
         words = self.words[name]
         if words is None:
+            if needed:
+                raise _no_words(self.models[name], seam)
             return UNUSED
         plug, pointer = seam.plug(words, self._constants, self._state, self._slot)
         self._plugged.append(pointer)
@@ -131,10 +135,10 @@ class Simulator:
 
     def _plug_models(self) -> Plugs:
         return Plugs(
-            path_loss=self._plug(seams.MOVE_USERS, "path_loss"),
+            path_loss=self._plug(seams.MOVE_USERS, "path_loss", needed=False),
             fading=self._plug(seams.DRAW_FADING, "fading"),
             link=self._plug(seams.RATE_PRBS, "link"),
-            report=self._plug(seams.REPORT, "report"),
+            report=self._plug(seams.REPORT, "report", needed=False),
             deliver=self._plug(seams.DELIVER, "link"),
             arrivals=self._plug(seams.OFFER, "arrivals"),
             queue=self._plug(seams.SERVE, "queue"),
@@ -313,6 +317,8 @@ class Simulator:
     def _plug_policy(self, seam: Seam, policy: Rule | Weigher, kept: list[Pointer]) -> Plug:
         words = policy.words(self.setup)
         if words is None:
+            if seam is ALLOCATE:
+                raise _no_words(policy, seam)
             return UNUSED
         plug, pointer = seam.plug(words, self._constants, self._state, self._slot)
         kept.append(pointer)
@@ -320,6 +326,10 @@ class Simulator:
 
     def _allocation(self, name: str, kept: list[Pointer]) -> dict[str, Any]:
         """Plugs of an allocation."""
+        if name not in ALLOCATIONS:
+            raise ValueError(
+                f"allocation = {name!r}: must be one of {', '.join(ALLOCATIONS)}, or own"
+            )
         allocation = ALLOCATIONS[name]
         scratch = Pointer(getattr(self._allocator, allocation.scratch))
         terms = Pointer(self._scratch.value.terms).kind
@@ -468,6 +478,14 @@ class Simulator:
     def new_record(self, num_slots: int) -> SlotRecord:
         """Zeroed record for `num_slots` slots of all worlds."""
         return self._layout.record(self.num_envs, num_slots)
+
+
+def _no_words(model: Any, seam: Seam) -> KernelError:
+    """Return the error of a model without words, whose kernel the loop would call at address 0."""
+    return KernelError(
+        f"{type(model).__module__}.{type(model).__qualname__}: its `words` returns None: must be "
+        f"the NamedTuple of its kernel for the seam {seam.name}"
+    )
 
 
 def _view(state: SlotState, constants: SlotConstants) -> View:

@@ -5,7 +5,6 @@ The uniform, not the count, is the world's: the Poisson quantile of it depends o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
@@ -89,8 +88,8 @@ class Poisson(Arrivals):
         num_urllc, num_embb = scenario.users.num_urllc, scenario.users.num_embb
         packet_mbit = traffic.packet_bits * 1e-6
         interval_s = self.interval_s(scenario)
-        offered_urllc = traffic.load * _per_user(traffic.urllc_offered_mbps, num_urllc)
-        offered_embb = traffic.load * _per_user(traffic.embb_offered_mbps, num_embb)
+        offered = self.offered_mbps(scenario)
+        offered_urllc, offered_embb = offered[:num_urllc], offered[num_urllc:]
         # lambda_0 such that the load at the reference rate is the offered one: the interval of the
         # arrivals is longer than a slot (SPEC 2), so lambda_0 is smaller than the load.
         base = offered_urllc * slot_s / interval_s + (
@@ -150,10 +149,6 @@ class Poisson(Arrivals):
             packets_per_mbps=belief.packets_per_mbps,
             lanes=np.zeros((-(-len(worst) // LANES), NUM_ARRIVAL_LANES)),
         )
-
-
-def _per_user(value: float | Sequence[float], count: int) -> NDArray[np.float64]:
-    return np.broadcast_to(np.asarray(value, dtype=np.float64), (count,)).copy()
 
 
 @OFFER.kernel(PoissonWords)
