@@ -291,6 +291,8 @@ def _recompute(
         here = slice(batch.first_slot, batch.stop_slot)
         decisions = LoggedDecisions(logged["prb_owner"][None, here])
         record = simulator.run(decisions, multipliers=multipliers)
+        if "weight" in logged:  # which decided nothing here
+            record.weight[0] = logged["weight"][here]
         computed = logged_fields(run.profile, run.scenario, record.environment(0))
         for name, values in logged.items():
             if values[here].tobytes() != computed[name].tobytes():
