@@ -104,4 +104,7 @@ def test_every_script_reaches_what_it_needs(project_root: Path) -> None:
     assert not any(name.startswith("hiersched.learning") for name in reached("sweep_classical"))
     assert not any(name.startswith("hiersched.learning") for name in reached("gains"))
     assert "hiersched.control.krasovskii" in reached("gains")
-    assert not any(name.startswith("hiersched.study") for name in reached("evaluate_learned"))
+    assert not any(name.startswith("hiersched.study") for name in reached("evaluate_classical"))
+    assert {name for name in reached("evaluate_learned") if name.startswith("hiersched.study")} == {
+        *("hiersched.study", "hiersched.study.metrics", "hiersched.study.fifo")
+    }
