@@ -9,6 +9,8 @@ PYTHON ?= python3
 VENV ?= .venv
 CORES ?= 2
 PIP_ARGS ?=
+# As in pyproject.toml.
+OLDEST_NUMBA := 0.61.0
 
 STAMP := $(VENV)/.installed
 BIN := $(abspath $(VENV))/bin
@@ -19,7 +21,7 @@ RUN := env PATH="$(BIN):$$PATH" OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help install paper smoke readme test lint format bench bench-short clean distclean
+.PHONY: oldest help install paper smoke readme test lint format bench bench-short clean distclean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-11s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -60,6 +62,12 @@ format: $(STAMP)  ## let the formatters have their way
 	$(RUN) ruff check --fix-only --quiet .
 	$(RUN) ruff format .
 	$(RUN) snakefmt Snakefile workflow
+
+oldest:  ## the kernels' tests on the oldest Numba that pyproject.toml allows (an environment of its own)
+	test -x .venv-oldest/bin/python || "$(PYTHON)" -m venv .venv-oldest
+	.venv-oldest/bin/python -m pip install --quiet $(PIP_ARGS) "numba==$(OLDEST_NUMBA)" "numpy<2.2" scipy "pydantic>=2.8" pyyaml cvxpy clarabel control pytest hypothesis
+	.venv-oldest/bin/python -m pip install --quiet --no-deps -e .
+	.venv-oldest/bin/python -m pytest -q tests/core tests/simulator
 
 bench: $(STAMP)  ## speed of the slot loop, the log, the gain design and the learners
 	$(RUN) python benchmarks/run.py

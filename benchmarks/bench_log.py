@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 from unittest import mock
 
-from common import Figure, cpu_seconds, main, paper
+from common import Figure, cpu_seconds, main, paper, some_policy
 
 # isort: split
 import numpy as np
@@ -32,8 +32,6 @@ from mcap.writer import CompressionType, Writer
 from mcap_protobuf.decoder import DecoderFactory
 
 from hiersched.core.randomness import world_keys
-from hiersched.learning.networks import learner_network
-from hiersched.learning.policy import Policy
 from hiersched.log import TOPICS, LogDims, LogReader, LogWriter
 from hiersched.log.schema import descriptor_set, topics_in
 from hiersched.runs import evaluate as stage
@@ -198,30 +196,11 @@ def stage_seconds(
     return whole, sum(logs)
 
 
-def learned_runner(scenario: Scenario, learner: str, folder: Path) -> learned_policies:
+def learned_runner(scenario: Scenario, learner: str, folder: Path) -> PolicySource:
     """A policy of its own for every world, as after a training with so many seeds."""
     path = folder / f"{learner}.pt"
     some_policy(scenario, learner).save(path)
     return learned_policies([path] * len(scenario.evaluate.seeds))
-
-
-def some_policy(scenario: Scenario, learner: str) -> Policy:
-    """A learner's policy with small random weights: it takes as long as a trained one."""
-    learning, users = scenario.learned[learner], scenario.users
-    network = learner_network(learning, users)
-    shape = (2, network.actor.num_parameters)
-    return Policy(
-        parameters=np.random.default_rng(0).normal(scale=0.05, size=shape).astype(np.float32),
-        network=learning.network,
-        hidden=learning.hidden,
-        start=learning.start,
-        observe_robots=learning.observe_robots,
-        num_embb=users.num_embb,
-        weight_exponent=learning.weight_exponent,
-        multipliers=np.zeros(users.num_urllc),
-        seed=0,
-        scenario_sha256="",
-    )
 
 
 def speeds(fields: dict[str, Any], folder: Path, rounds: int) -> dict[str, float]:

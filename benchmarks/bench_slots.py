@@ -13,49 +13,65 @@ import statistics
 import time
 from collections.abc import Callable
 
-from common import Figure, main, paper
+from common import Figure, main, paper, some_policy
 
 # isort: split
 import numpy as np
 
 from hiersched.core.compiled import kernel
+from hiersched.core.pointer import Pointer
 from hiersched.core.randomness import world_keys
+from hiersched.policies.policy import View, Weights
 from hiersched.simulator import Simulator, SlotRecord
 from hiersched.simulator.loop import draw_channel
-from hiersched.simulator.loop_gains import LoopGains, plant_of
+from hiersched.simulator.loop_gains import nominal_gains
+from hiersched.simulator.simulator import AnyPolicy
 
 SLOTS = 200
 FLOOR = "fading draws and rates alone, 64 worlds"
 BATCH = "pf, 64 worlds, 200 slots a call"
 CALL = "pf, one world, 200 slots a call"
+TEN = "pf, 10 worlds, 200 slots a call"
+PYTHON = "a policy in Python, 10 worlds"
 COMPARED = {
     "the 10 robots alone, 64 worlds": (FLOOR, 0.3),
     BATCH: (FLOOR, 0.11),
     "drift_plus_penalty, 64 worlds, 200 slots a call": (FLOOR, 0.08),
     CALL: (BATCH, 0.5),
-    "pf, one world, one slot a call": (CALL, 0.08),
+    TEN: (BATCH, 0.7),
+    "pf, one world, one slot a call": (CALL, 0.2),
+    "a trained policy (shared, 64-64), 64 worlds": (BATCH, 0.2),
+    "a trained policy (mlp, 64-64), 64 worlds": (BATCH, 0.3),
+    PYTHON: (TEN, 0.45),
 }
 """Contender -> with whose speed its own is compared, and the least ratio."""
 
 
 @kernel()
-def draw_floor(constants, state, scratch, slots):
+def draw_floor(plugs, constants, state, slot, slots):
     """Draw `slots` slots of every world, and nothing else."""
     for env in range(state.key.shape[0]):
         for _ in range(slots):
             state.slot[env] += 1
-            draw_channel(constants, state, scratch, env, state.fading_power[env])
+            draw_channel(plugs, constants, state, slot, env)
 
 
 def simulator(num_envs: int, num_slots: int = SLOTS) -> Simulator:
     """Worlds of the scenario `paper` with the nominal gain at every delay."""
     scenario = paper()
-    network = np.repeat(plant_of(scenario).nominal_gain[None], scenario.max_delay_steps + 1, axis=0)
-    gains = LoopGains.memoryless(network)
-    return Simulator(scenario, gains, world_keys("bench", 1, num_envs), num_slots)
+    return Simulator(scenario, nominal_gains(scenario), world_keys("bench", 1, num_envs), num_slots)
 
 
-def episodes(worlds: Simulator, policy: str, count: int, step: int = SLOTS) -> Callable[[], int]:
+class Waits:
+    """A policy in Python: users weigh the more the longer they wait."""
+
+    def decide(self, view: View) -> Weights:
+        return Weights(1.0 + view.hol_delay_s)
+
+
+def episodes(
+    worlds: Simulator, policy: AnyPolicy, count: int, step: int = SLOTS
+) -> Callable[[], int]:
     """Run `count` episodes of SLOTS slots, `step` slots a call; only the calls are timed."""
     keys = worlds.state.key.copy()
     record = worlds.new_record(step)
@@ -99,10 +115,11 @@ def measure(work: Callable[[], int]) -> float:
 
 def contenders() -> dict[str, Callable[[], int]]:
     """Work by name, each of a few tens of milliseconds."""
-    many, one = simulator(64), simulator(1)
+    many, ten, one = simulator(64), simulator(10), simulator(1)
 
     def floor() -> int:
-        draw_floor(many.constants, many.state, many._scratch, SLOTS)
+        where = Pointer(many._plugs), many._constants, many._state, many._slot
+        draw_floor(*where, SLOTS)
         return 64 * SLOTS
 
     def robots() -> int:
@@ -113,15 +130,19 @@ def contenders() -> dict[str, Callable[[], int]]:
         return 64 * SLOTS
 
     delay_s = np.full((64, SLOTS, many.scenario.users.num_urllc), 0.015)
-    robots_alone, batch, drift, call, slot = COMPARED
-    return {
-        FLOOR: floor,
-        robots_alone: robots,
-        batch: episodes(many, "pf", 1),
-        drift: episodes(many, "drift_plus_penalty", 1),
-        call: episodes(one, "pf", 40),
-        slot: episodes(one, "pf", 10, step=1),
-    }
+    shared, flat = (some_policy(many.scenario, learner) for learner in ("ddpg", "ddpg_mlp"))
+    works = (
+        robots,
+        episodes(many, "pf", 1),
+        episodes(many, "drift_plus_penalty", 1),
+        episodes(one, "pf", 40),
+        episodes(ten, "pf", 4),
+        episodes(one, "pf", 10, step=1),
+        episodes(many, shared, 1),
+        episodes(many, flat, 1),
+        episodes(ten, Waits(), 4),
+    )
+    return {FLOOR: floor, **dict(zip(COMPARED, works, strict=True))}
 
 
 def batch_is_single(policy: str) -> bool:

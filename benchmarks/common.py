@@ -20,8 +20,11 @@ from pathlib import Path
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
+import numpy as np  # noqa: E402
 from tabulate import tabulate  # noqa: E402
 
+from hiersched.learning.networks import learner_network  # noqa: E402
+from hiersched.learning.policy import TrainedPolicy  # noqa: E402
 from hiersched.scenario import Scenario, load_scenario  # noqa: E402
 
 CONFIG = Path(__file__).resolve().parents[1] / "config"
@@ -97,6 +100,25 @@ def cpu_seconds(work: Callable[[], object], rounds: int = 1) -> float:
 def paper() -> Scenario:
     """The scenario `paper`."""
     return load_scenario(CONFIG / "scenarios/paper.yaml", defaults=CONFIG / "defaults.yaml")
+
+
+def some_policy(scenario: Scenario, learner: str) -> TrainedPolicy:
+    """A learner's policy with small random weights: it takes as long as a trained one."""
+    learning, users = scenario.learned[learner], scenario.users
+    network = learner_network(learning, users)
+    shape = (2, network.actor.num_parameters)
+    return TrainedPolicy(
+        parameters=np.random.default_rng(0).normal(scale=0.05, size=shape).astype(np.float32),
+        network=learning.network,
+        hidden=learning.hidden,
+        rule=learning.start,
+        observe_robots=learning.observe_robots,
+        num_embb=users.num_embb,
+        weight_exponent=learning.weight_exponent,
+        multipliers=np.zeros(users.num_urllc),
+        seed=0,
+        scenario_sha256="",
+    )
 
 
 def main(run: Callable[[bool], list[Figure]], about: str) -> None:

@@ -403,17 +403,6 @@ def test_a_message_stands_on_its_page(page, mistake, project_root):
     assert re.sub(r"\d+", "0", mistake[-1]) in re.sub(r"\d+", "0", text)
 
 
-def test_fields_of_a_models_own_in_the_log_are_refused(tiny_with):
-    edit = (
-        'model: Literal["flat"] = "flat"',
-        'model: Literal["flat"] = "flat"\n    log_fields = {"part": "1"}',
-    )
-    with pytest.raises(
-        ValueError, match=r"Flat.log_fields = \{'part': '1'\}: must be \{\}: no log"
-    ):
-        tiny_with("channel", edits=(edit,))
-
-
 def test_draws_that_a_decision_changes_are_found(tiny_with):
     edit = "fresh * np.float64(", "fresh * (1.0 + slot.prb_owner[0]) * np.float64("
     with pytest.raises(ModelCheckError, match="decisions of pf and round_robin change the draws"):

@@ -10,6 +10,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import grimp
 import pytest
 import yaml
 
@@ -170,6 +171,18 @@ def test_notes_name_modules_that_exist(project_root: Path) -> None:
         named[f"{first} {second}"] = first.rpartition(".")[0] + second
     assert named
     assert [text for text, module in named.items() if find_spec(module) is None] == []
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    """Imports inside functions count; those for annotations alone do not."""
+    graph = grimp.build_graph("hiersched", exclude_type_checking_imports=True, cache_dir=None)
+    circles = [
+        (module, imported)
+        for module in sorted(graph.modules)
+        for imported in sorted(graph.find_modules_directly_imported_by(module))
+        if graph.chain_exists(importer=imported, imported=module)
+    ]
+    assert circles == []
 
 
 def test_environment_is_pinned(project_root: Path) -> None:

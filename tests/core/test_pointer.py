@@ -343,7 +343,7 @@ def test_what_cannot_be_asked_for_is_an_error_of_the_compiler():
     shown = np.zeros(3)
     shown.flags.writeable = False
     assert first_value(Pointer(Pair(1, shown))) == 1.0
-    with pytest.raises(TypingError, match=r"readonly|[Cc]annot"):
+    with pytest.raises(TypingError, match="readonly array"):
         write_first(Pointer(Pair(0, shown)))
 
 

@@ -1,16 +1,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from hiersched.core.model_fields import ModelField, fields_to_text
 from hiersched.log import LogDims, LogWriter
 from hiersched.log.schema import topics_in
 
 SLOT_NS = 10_000_000
+MODEL_FIELDS = fields_to_text(
+    [
+        ModelField("radio.fading/coherence", "1", 0, 5),
+        ModelField("plant/slip", "m/s", 5, 3),
+    ]
+)
 Fields = dict[str, Any]
 
 
@@ -18,7 +26,7 @@ def make_fields(slots: int, dims: LogDims, seed: int = 0) -> Fields:
     """Random bits in every field of the full profile: NaNs, infinities and denormals too."""
     rng = np.random.default_rng(seed)
     fields: Fields = {}
-    for topic in topics_in("full").values():
+    for topic in topics_in("full", dims.num_model_values).values():
         for field in topic.fields[1:]:
             shape = (slots, *field.concrete_shape(dims))
             raw = rng.bytes(int(np.prod(shape)) * np.dtype(field.dtype).itemsize)
@@ -29,6 +37,12 @@ def make_fields(slots: int, dims: LogDims, seed: int = 0) -> Fields:
 @pytest.fixture(scope="session")
 def dims() -> LogDims:
     return LogDims(num_urllc=3, num_embb=2, num_prb=7)
+
+
+@pytest.fixture(scope="session")
+def model_dims(dims: LogDims) -> LogDims:
+    """With two fields of models: of each user, and of each robot."""
+    return replace(dims, num_model_values=8)
 
 
 @pytest.fixture(scope="session")
@@ -49,6 +63,8 @@ def write_log(dims: LogDims) -> Callable[..., Path]:
             "attachments": {"scenario.yaml": b"name: test\n", "policy.pt": bytes(range(256))},
             **settings,
         }
+        if settings["dims"].num_model_values:
+            settings["metadata"] = {"model_fields": MODEL_FIELDS, **settings["metadata"]}
         slots = len(fields["prb_owner"])
         with LogWriter(path, **settings) as log:
             log.event(0, "INFO", "run", "starts")

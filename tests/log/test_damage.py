@@ -18,12 +18,22 @@ SLOT_NS = 10_000_000
 SLOTS = 100
 
 
-@pytest.fixture(params=["zstd", "none"])
+@pytest.fixture(params=["zstd", "none", "models"])
 def log_path(
-    request: pytest.FixtureRequest, tmp_path: Path, random_fields: Any, write_log: Any
+    request: pytest.FixtureRequest,
+    tmp_path: Path,
+    random_fields: Any,
+    write_log: Any,
+    dims: LogDims,
+    model_dims: LogDims,
 ) -> Path:
+    models = request.param == "models"
     path: Path = write_log(
-        tmp_path / "a.mcap", random_fields(SLOTS), compression=request.param, flush_slots=40
+        tmp_path / "a.mcap",
+        random_fields(SLOTS, dims=model_dims if models else dims),
+        dims=model_dims if models else dims,
+        compression="zstd" if models else request.param,
+        flush_slots=40,
     )
     return path
 

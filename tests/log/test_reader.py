@@ -41,19 +41,35 @@ def read_everything(path: Path, **settings: Any) -> dict[str, Any]:
     return content
 
 
-@pytest.fixture(params=["zstd", "none"])
+@pytest.fixture(params=["zstd", "none", "models"])
 def log_path(
-    request: pytest.FixtureRequest, tmp_path: Path, random_fields: Any, write_log: Any
+    request: pytest.FixtureRequest,
+    tmp_path: Path,
+    random_fields: Any,
+    write_log: Any,
+    dims: LogDims,
+    model_dims: LogDims,
 ) -> Path:
-    path: Path = write_log(tmp_path / "a.mcap", random_fields(SLOTS), compression=request.param)
+    models = request.param == "models"
+    path: Path = write_log(
+        tmp_path / "a.mcap",
+        random_fields(SLOTS, dims=model_dims if models else dims),
+        dims=model_dims if models else dims,
+        compression="zstd" if models else request.param,
+    )
     return path
 
 
 @pytest.mark.parametrize("verify", ["file", "chunks"])
-def test_every_bit_comes_back(log_path: Path, random_fields: Any, verify: str) -> None:
-    fields = random_fields(SLOTS)
+def test_every_bit_comes_back(
+    log_path: Path, random_fields: Any, verify: str, model_dims: LogDims
+) -> None:
+    fields = random_fields(SLOTS, dims=model_dims)
     content = read_everything(log_path, verify=verify)
-    for name, topic in topics_in("full").items():
+    models = {}
+    if "/models" in content:
+        models = {"num_model_values": "8", "model_fields": content["metadata"]["model_fields"]}
+    for name, topic in topics_in("full", len(models)).items():
         assert list(content[name]) == [field.name for field in topic.fields]
         assert content[name]["slot"].tolist() == list(range(SLOTS))
         for field in topic.fields[1:]:
@@ -61,7 +77,7 @@ def test_every_bit_comes_back(log_path: Path, random_fields: Any, verify: str) -
     assert content["metadata"] == {
         "scenario": "test", "seed": "1", "policy": "pf", "schema_version": "1", "profile": "full",
         "num_urllc": "3", "num_embb": "2", "num_prb": "7", "slot_ns": str(SLOT_NS),
-        "num_states": "5", "num_inputs": "2", "num_normals": "5",
+        "num_states": "5", "num_inputs": "2", "num_normals": "5", **models,
     }  # fmt: skip
     assert set(content["files"]) == {"scenario.yaml", "policy.pt", "hiersched.proto"}
     assert content["files"]["scenario.yaml"] == b"name: test\n"
@@ -274,7 +290,7 @@ def test_schemas_of_older_versions_with_fewer_topics_are_read(
     tmp_path: Path, random_fields: Any, write_log: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     older = FileDescriptorSet.FromString(schema.descriptor_set("hiersched.Channel"))
-    assert older.file[0].message_type.pop().name == "Slices"
+    assert [older.file[0].message_type.pop().name for _ in range(2)] == ["Models", "Slices"]
 
     def older_set(name: str) -> bytes:
         own = name.startswith("hiersched")
@@ -318,6 +334,8 @@ def test_messages_that_do_not_follow_the_schema_are_refused(
         {"profile": "short"},
         {"schema_version": ""},
         {"num_urllc": None},
+        {"num_model_values": "-1"},
+        {"num_model_values": "8"},
     ],
 )
 def test_metadata_that_make_no_sense_are_refused(

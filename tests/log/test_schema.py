@@ -14,6 +14,7 @@ from hiersched.log.layout import as_raw
 from hiersched.log.schema import (
     EVENTS_SCHEMA,
     EVENTS_TOPIC,
+    PROFILES,
     SCHEMA_VERSION,
     channel_ids,
     describes,
@@ -65,11 +66,12 @@ def test_topics_table_is_the_protobuf_schema() -> None:
 
 def test_topics_table_is_the_record_of_the_simulator() -> None:
     """`write_block` takes what the simulator hands out, without a conversion."""
-    record = SlotLayout(num_users=5, num_robots=3, num_prb=7).record(1, 2).environment(0)
-    dims = LogDims(num_urllc=3, num_embb=2, num_prb=7)
+    dims = LogDims(num_urllc=3, num_embb=2, num_prb=7, num_model_values=8)
+    layout = SlotLayout(num_users=5, num_robots=3, num_prb=7, num_model_values=8)
+    record = layout.record(1, 2).environment(0)
     table = {
         field.name: (np.dtype(field.dtype), (2, *field.concrete_shape(dims)))
-        for topic in topics_in("full").values()
+        for topic in topics_in("full", 8).values()
         for field in topic.fields[1:]
     }
     assert {name: (values.dtype, values.shape) for name, values in record.items()} == table
@@ -105,8 +107,8 @@ def test_proto_source_names_the_schema_version() -> None:
 
 
 def test_compact_profile_leaves_out_what_seed_and_scenario_give_again() -> None:
-    assert set(channel_ids("full")) == {*TOPICS, EVENTS_TOPIC} - {"/slices"}
-    assert set(channel_ids("full")) - set(channel_ids("compact")) == {"/world"}
+    assert set(channel_ids("full", 8)) == {*TOPICS, EVENTS_TOPIC} - {"/slices"}
+    assert set(channel_ids("full", 8)) - set(channel_ids("compact", 8)) == {"/world"}
     left_out = {
         field.name
         for topic in topics_in("full").values()
@@ -117,6 +119,14 @@ def test_compact_profile_leaves_out_what_seed_and_scenario_give_again() -> None:
         *("hol_delay_s", "delay_s", "constraint", "network_delay_s", "gain_delay_steps"),
         *("state", "reference", "control"),
     }
+
+
+def test_only_models_that_add_something_have_a_topic() -> None:
+    for profile in PROFILES:
+        without, added = channel_ids(profile), channel_ids(profile, 1)
+        wanted = {"/models"} if profile in ("full", "compact") else set()
+        assert set(added) - set(without) == wanted
+        assert list(added)[-1] == EVENTS_TOPIC
 
 
 def test_decisions_profile_has_decisions_and_means_of_slices() -> None:
@@ -137,9 +147,8 @@ def test_a_message_is_described_whatever_else_is() -> None:
     """Files of older versions name fewer topics in their schemas."""
     ours = FileDescriptorSet.FromString(descriptor_set("hiersched.Delay"))
     messages = ours.file[0].message_type
-    last = messages.pop()
+    assert [messages.pop().name for _ in range(2)] == ["Models", "Slices"]
     older = ours.SerializeToString()
-    assert last.name == "Slices"
     assert describes(older, "hiersched.Delay")
     assert not describes(older, "hiersched.Slices")
     next(m for m in messages if m.name == "Delay").field[3].name = "due"

@@ -213,7 +213,7 @@ def test_parameters_of_another_shape_are_refused():
 
 
 def test_an_unknown_network_is_refused():
-    with pytest.raises(ValueError, match="'transformer': must be 'shared' or 'mlp'"):
+    with pytest.raises(ValueError, match="network = 'transformer': must be one of shared, mlp"):
         network_words(
             np.zeros((2, 1), np.float32),
             "transformer",

@@ -13,6 +13,7 @@ import yaml
 from hiersched.core import registry
 from hiersched.core.registry import ALGORITHMS, PluginError, load_plugin
 from hiersched.models.model import PATH_LOSS, SECTIONS
+from hiersched.policies.imported import ImportedPolicy
 from hiersched.policies.registry import RULES
 from hiersched.runs import dependencies
 from hiersched.runs.variants import swept_policies
@@ -27,7 +28,7 @@ from hiersched.scenario import (
     scenario_to_yaml,
 )
 from hiersched.scenario.old_keys import OLD_KEYS, converted
-from hiersched.scenario.schema import ImportedPolicy, model_at
+from hiersched.scenario.schema import model_at
 
 HEAD = """
 from __future__ import annotations
@@ -621,7 +622,10 @@ def test_a_policy_changes_the_jobs_in_which_it_runs(load_text, plugin):
         ('{import: "MINE:none"}', "policies.a.import = 'MINE:none': cannot be imported"),
         ('{import: "no_such:none"}', "policies.a.import = 'no_such:none': cannot be imported"),
         ('{import: "MINE:NUMBER"}', "policies.a.import = 'MINE:NUMBER': must be a function"),
-        ('{import: "MINE:tail_risk", rule: best}', "policies.a.rule = 'best': must be 'pf'"),
+        (
+            '{import: "MINE:tail_risk", rule: best}',
+            "policies.a.rule = 'best': must be one of pf, pf_average",
+        ),
         ('{import: "MINE:tail_risk", parameters: 3}', "policies.a.parameters = 3"),
         ('{import: "MINE:tail_risk", parameters: {x: {y: 3}}}', "policies.a.parameters.x"),
         (

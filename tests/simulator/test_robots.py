@@ -126,7 +126,7 @@ def test_entries_in_force_follow_the_slot_loop(make_simulator, smoke_scenario, s
 
 def test_the_nominal_tables_are_the_schedules_nominal_gain(smoke_scenario):
     """Also where the schedule's own entry for T = 0 is another gain."""
-    control = replace(smoke_scenario.control, plant="split", method="razumikhin", max_delay_s=0.02)
+    control = replace(smoke_scenario.control, loop="split", method="razumikhin", max_delay_s=0.02)
     scenario = replace(smoke_scenario, control=control)
     schedule = build_schedule(plant_of(scenario), 1, "razumikhin", decay_rate=0.06)
     assert (schedule.gains[0] != schedule.nominal).any()

@@ -7,11 +7,9 @@ import sys
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
 
+from hiersched.cli.errors import InputError
+
 BAD_INPUT = 2
-
-
-class InputError(Exception):
-    """The input is at fault; the message says what and what is allowed."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -67,7 +67,7 @@ def _recover(parsed: argparse.Namespace) -> int:
     try:
         report = recover(parsed.log, parsed.out)
     except FileExistsError as error:
-        from hiersched.cli import InputError
+        from hiersched.cli.errors import InputError
 
         raise InputError(str(error)) from error
     spans = ", ".join(f"{start} to {stop - 1}" for start, stop in report.spans) or "none"
@@ -103,6 +103,9 @@ def _origin(log: LogReader) -> list[str]:
         f"duration    {log.num_slots} slots of {log.slot_ns / 1e6:g} ms: "
         f"{log.num_slots * log.slot_ns / 1e9:g} s",
     ]
+    if log.model_fields:
+        names = ", ".join(f"{f.name} [{f.unit}] ({f.count})" for f in log.model_fields)
+        lines.insert(-1, f"models      {names}")
     if text.get("recovered_losses"):
         lines.append(f"recovered   lost: {text['recovered_losses']}")
     return lines
@@ -135,7 +138,7 @@ def _statistics(log: LogReader) -> list[str]:
 
 
 def _export(parsed: argparse.Namespace) -> int:
-    from hiersched.cli import InputError
+    from hiersched.cli.errors import InputError
     from hiersched.replay.export import export_for_viewers, export_tables
 
     source = Path(parsed.log)
@@ -156,7 +159,7 @@ def _export(parsed: argparse.Namespace) -> int:
 
 
 def _view(parsed: argparse.Namespace) -> int:
-    from hiersched.cli import InputError
+    from hiersched.cli.errors import InputError
     from hiersched.replay.view import show_in_rerun
 
     try:

@@ -45,7 +45,7 @@ def add_commands(commands: Any) -> None:
 
 
 def _replay(parsed: argparse.Namespace) -> int:
-    from hiersched.cli import InputError
+    from hiersched.cli.errors import InputError
     from hiersched.replay.expand import expand
     from hiersched.replay.verify import verify
     from hiersched.runs.logged import load_run
@@ -75,7 +75,7 @@ def _replay(parsed: argparse.Namespace) -> int:
 
 
 def _counterfactual(run: LoggedRun, policy: str, out: str | None) -> int:
-    from hiersched.cli import InputError
+    from hiersched.cli.errors import InputError
     from hiersched.log import LogError, log_digest
     from hiersched.replay.compare import compare_logs
     from hiersched.replay.counterfactual import policy_of, rerun

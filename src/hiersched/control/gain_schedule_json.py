@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,7 +17,9 @@ from hiersched.control.certificate import (
     Witness,
 )
 from hiersched.control.checks import FloatArray
-from hiersched.control.gain_table import GainSchedule
+
+if TYPE_CHECKING:
+    from hiersched.control.gain_table import GainSchedule
 
 FORMAT = "hiersched gain schedule 2"
 _WITNESSES: dict[str, type[RazumikhinWitness | DelayRazumikhinWitness | KrasovskiiWitness]] = {
@@ -65,13 +67,15 @@ def dump_schedule(schedule: GainSchedule) -> str:
     return json.dumps(document, indent=1, allow_nan=False) + "\n"
 
 
-def parse_schedule(text: str) -> GainSchedule:
+def parse_schedule(text: str, kind: type[GainSchedule]) -> GainSchedule:
     """Return the schedule that `dump_schedule` wrote.
 
     Parameters
     ----------
     text : str
         JSON text.
+    kind : type
+        `GainSchedule`.
 
     Returns
     -------
@@ -92,7 +96,7 @@ def parse_schedule(text: str) -> GainSchedule:
             raise ValueError(f"entries[{delay}] must be an object with delay_steps {delay}")
     rate, nominal = document.get("decay_rate"), _array(document, "nominal")
     operator_gain = document.get("operator_gain")
-    return GainSchedule(
+    return kind(
         gains=np.array([_array(entry, "gain") for entry in entries]),
         status=tuple(_field(entry, "status", str) for entry in entries),
         certificates=tuple(

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from hiersched.control.certificate import Certificate, certify
 from hiersched.control.checks import FloatArray, as_matrix
 from hiersched.control.delayed_plant import DelayedPlant
+from hiersched.control.gain_schedule_json import dump_schedule, parse_schedule
 from hiersched.control.methods import Status
 
 
@@ -204,8 +205,6 @@ class GainSchedule:
 
     def to_json(self) -> str:
         """Return the schedule as JSON text; every float comes back bit for bit."""
-        from hiersched.control.gain_schedule_json import dump_schedule
-
         return dump_schedule(self)
 
     @classmethod
@@ -217,6 +216,4 @@ class GainSchedule:
         ValueError
             If the text is no schedule; the message names the field.
         """
-        from hiersched.control.gain_schedule_json import parse_schedule
-
-        return parse_schedule(text)
+        return parse_schedule(text, cls)

@@ -41,7 +41,7 @@ if not os.environ.get("NUMBA_CACHE_DIR"):
 
 
 class _IndexByClasses(IndexDataCacheFile):
-    """Index of a kernel's machine code: one for each set of NamedTuples that are not of the package.
+    """Index of a kernel's machine code: one for each set of NamedTuples from outside.
 
     Numba reads an index as a whole: where it mentions a class that is not there, of a plug-in that
     this process has not imported or whose class has another name now, not even the entries of our

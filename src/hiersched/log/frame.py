@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.log.reader import LogReader
-from hiersched.log.schema import EVENTS_TOPIC
+from hiersched.log.schema import EVENTS_TOPIC, MODELS_TOPIC
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -62,7 +62,8 @@ def topic_frame(
     topic
         One of ``log.topics``, or ``/events``.
     fields
-        Names of the fields; all of the topic by default. Events have no choice.
+        Names of the fields; all of the topic by default. Those of ``/models`` are those of
+        `LogReader.model_fields`. Events have no choice.
     start_s, stop_s
         Slots that start in this span of simulated time [s].
 
@@ -70,8 +71,8 @@ def topic_frame(
     -------
     DataFrame
         ``slot`` (uint64), ``time_s`` (start of the slot), then ``backlog_packets[3]`` and
-        ``fading_power[3,24]`` for the elements of arrays, in the types of the log. Events have
-        ``level``, ``name`` and ``message``.
+        ``fading_power[3,24]`` for the elements of arrays, in the types of the log; of ``/models``
+        ``radio.fading/coherence[3]``. Events have ``level``, ``name`` and ``message``.
 
     Raises
     ------
@@ -89,7 +90,10 @@ def topic_frame(
         table["slot"] = table["slot"].astype(np.uint64)
         table.insert(1, "time_s", _times(table["slot"].to_numpy(), log.slot_ns))
         return table
-    values = log.read(topic, fields, start, stop)
+    if topic == MODELS_TOPIC:
+        values = log.read_models(fields, start, stop)
+    else:
+        values = log.read(topic, fields, start, stop)
     columns: dict[str, NDArray[Any]] = {"slot": values.pop("slot")}
     columns["time_s"] = _times(columns["slot"], log.slot_ns)
     for name, array in values.items():

@@ -53,30 +53,21 @@ class RecordLayout:
     values: Mapping[str, tuple[np.dtype[Any], tuple[int, ...]]]
 
 
-def record_layout(
-    topic: Topic, dims: LogDims, profile: str, channel_id: int
-) -> RecordLayout | None:
+def record_layout(topic: Topic, dims: LogDims, profile: str, channel_id: int) -> RecordLayout:
     """Lay out the Message records of a topic.
 
     Parameters
     ----------
     topic
-        A topic of `TOPICS`.
+        A topic that the profile contains.
     dims
         Numbers of users and PRBs.
     profile
         One of `PROFILES`.
     channel_id
         MCAP channel id of the topic in the file.
-
-    Returns
-    -------
-    RecordLayout or None
-        None when the profile leaves the topic out.
     """
     fields = topic.fields_in(profile)
-    if not fields:
-        return None
     prefixes = {f"{field.name}:tag": field.prefix(dims) for field in fields}
     parts: list[Any] = list(MESSAGE_HEADER)
     for field in fields:

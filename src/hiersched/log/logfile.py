@@ -22,6 +22,7 @@ from mcap.records import (
     Statistics,
 )
 
+from hiersched.core.model_fields import fields_from_text
 from hiersched.log.container import (
     DATA_END_BYTES,
     FOOTER_BYTES,
@@ -34,6 +35,7 @@ from hiersched.log.schema import (
     EVENTS_SCHEMA,
     EVENTS_TOPIC,
     METADATA_NAME,
+    MODEL_FIELDS,
     PROFILES,
     SCHEMA_VERSION,
     TOPICS,
@@ -209,10 +211,14 @@ class LogFile(RecordFile):
                 **{
                     field.name: int(self.metadata[field.name])
                     for field in fields(LogDims)
-                    # Logs of earlier versions do not say what their robots are: unicycles.
+                    # Logs of earlier versions do not say what their robots are: unicycles. Those
+                    # of models that add nothing do not say so.
                     if field.default is MISSING or field.name in self.metadata
                 }
             )
+            num_values = self.dims.num_model_values
+            text = self.metadata[MODEL_FIELDS] if num_values else "[]"
+            self.model_fields = fields_from_text(text, num_values)
         if self.profile not in PROFILES or self.slot_ns < 1:
             raise self._fail(
                 offset, f"the metadata have profile {self.profile!r}, slot_ns {self.slot_ns}"
@@ -220,7 +226,7 @@ class LogFile(RecordFile):
 
     def _load_channels(self) -> None:
         """Check that channels and schemas are ours, and sort the chunks by topic."""
-        self.channel_ids = channel_ids(self.profile)
+        self.channel_ids = channel_ids(self.profile, self.dims.num_model_values)
         if {t: c.id for t, c in self._channels.items()} != self.channel_ids:
             raise self._fail(self.summary_start, f"the topics are {sorted(self._channels)}")
         for topic, channel in self._channels.items():

@@ -25,6 +25,7 @@ from hiersched.log.schema import (
     LogDims,
     channel_ids,
     descriptor_set,
+    topics_in,
 )
 
 _MEDIA_TYPES = {
@@ -66,14 +67,18 @@ class LogPart:
         self._slot_ns, self._chunk_bytes = settings.slot_ns, settings.chunk_bytes
         self._events: list[Event] = []
         self._event_bytes = 0
-        ids = channel_ids(settings.profile)
+        num_values = settings.dims.num_model_values
+        ids = channel_ids(settings.profile, num_values)
         self._events_id = ids[EVENTS_TOPIC]
         self.buffers = [
             TopicBuffer(
-                layout, settings.slot_ns, settings.chunk_bytes, ids[name], stored=topic.stored
+                record_layout(topic, settings.dims, settings.profile, ids[name]),
+                settings.slot_ns,
+                settings.chunk_bytes,
+                ids[name],
+                stored=topic.stored,
             )
-            for name, topic in TOPICS.items()
-            if (layout := record_layout(topic, settings.dims, settings.profile, ids.get(name, 0)))
+            for name, topic in topics_in(settings.profile, num_values).items()
         ]
         self._stream = open(self._part, "wb")
         self._container = Container(self._stream, library=LIBRARY, compression=settings.compression)

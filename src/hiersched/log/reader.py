@@ -16,7 +16,7 @@ from hiersched.log.errors import LogError, reading
 from hiersched.log.events import Event, decode_events
 from hiersched.log.layout import RecordLayout, as_raw, raw_columns, record_layout
 from hiersched.log.logfile import LogFile
-from hiersched.log.schema import EVENTS_TOPIC, TOPICS
+from hiersched.log.schema import EVENTS_TOPIC, MODELS_TOPIC, TOPICS
 
 _OLDER_COMPACT = " (compact logs of earlier versions had more fields: they have to be written anew)"
 
@@ -55,6 +55,9 @@ class LogReader:
         Slot length [ns].
     topics : tuple of str
         Topics that `read` knows; events have a method of their own.
+    model_fields : tuple of ModelField
+        What models add: the columns of ``model_values`` in ``/models``. Small profiles know of them
+        too, but leave them out.
 
     Raises
     ------
@@ -90,12 +93,13 @@ class LogReader:
         self.path = file.path
         self.metadata = file.metadata
         self.dims, self.profile, self.slot_ns = file.dims, file.profile, file.slot_ns
+        self.model_fields = file.model_fields
         self._layouts: dict[str, RecordLayout] = {}
         for name, channel_id in file.channel_ids.items():
             if name != EVENTS_TOPIC:
-                layout = record_layout(TOPICS[name], self.dims, self.profile, channel_id)
-                assert layout is not None  # the profile has a channel for the topic
-                self._layouts[name] = layout
+                self._layouts[name] = record_layout(
+                    TOPICS[name], self.dims, self.profile, channel_id
+                )
         self.topics = tuple(self._layouts)
 
     def _check_counts(self) -> None:
@@ -157,7 +161,7 @@ class LogReader:
             If the slots run backwards.
         """
         layout = self._layout(topic)
-        names = self._names(topic, layout, fields)
+        names = self._wanted(topic, layout.values, fields)
         start = 0 if start_slot is None else start_slot
         stop = 1 << 32 if stop_slot is None else stop_slot
         if not 0 <= start <= stop:
@@ -187,6 +191,22 @@ class LogReader:
             done = end
         return {"slot": slots[:done], **{name: array[:done] for name, array in values.items()}}
 
+    def read_models(
+        self,
+        fields: Iterable[str] | None = None,
+        start_slot: int | None = None,
+        stop_slot: int | None = None,
+    ) -> dict[str, NDArray[Any]]:
+        """Read what models add, by the names of `model_fields`: ``/models``, cut into its fields.
+
+        Parameters and errors are those of `read`; the values have shape (T, count).
+        """
+        read = self.read(MODELS_TOPIC, None, start_slot, stop_slot)
+        places = {f.name: slice(f.start, f.start + f.count) for f in self.model_fields}
+        names = self._wanted(MODELS_TOPIC, places, fields)
+        cut = {name: read["model_values"][:, places[name]] for name in names}
+        return {"slot": read["slot"], **cut}
+
     def _layout(self, topic: str) -> RecordLayout:
         if topic not in self._layouts:
             raise LogError(
@@ -197,20 +217,21 @@ class LogReader:
             )
         return self._layouts[topic]
 
-    def _names(self, topic: str, layout: RecordLayout, fields: Iterable[str] | None) -> list[str]:
-        """Names of the fields to read, in the order of the schema, without ``slot``."""
+    def _wanted(self, topic: str, known: Iterable[str], fields: Iterable[str] | None) -> list[str]:
+        """Names of the fields to read, in the order of the known ones, without ``slot``."""
+        known = list(known)
         if fields is None:
-            return list(layout.values)
+            return known
         wanted = {fields} if isinstance(fields, str) else set(fields)
-        unknown = sorted(wanted - {*layout.values, "slot"})
+        unknown = sorted(wanted - {*known, "slot"})
         if unknown:
             raise LogError(
                 self.path,
                 self._file.summary_start,
                 f"{topic} has no field {', '.join(unknown)} in this log of profile "
-                f"{self.profile}; allowed: {', '.join(layout.values)}",
+                f"{self.profile}; allowed: {', '.join(known)}",
             )
-        return [name for name in layout.values if name in wanted]
+        return [name for name in known if name in wanted]
 
     def _rows(self, topic: str, chunk: ChunkIndex, layout: RecordLayout) -> NDArray[Any]:
         """Decode a chunk into message records, shape (T,), and check what must be constant."""

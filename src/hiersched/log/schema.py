@@ -28,6 +28,8 @@ SCHEMA_VERSION = 1
 LIBRARY = f"hiersched-log/{SCHEMA_VERSION}"  # fixed: a version of NumPy or mcap would change bytes
 METADATA_NAME = "hiersched"
 EVENTS_TOPIC = "/events"
+MODEL_FIELDS = "model_fields"  # key of the metadata: what the numbers of models are
+MODELS_TOPIC = "/models"  # the one topic that only some scenarios have
 EVENTS_SCHEMA = "foxglove.Log"
 
 Profile = Literal["full", "compact", "decisions", "robots"]
@@ -53,6 +55,8 @@ class LogDims:
         Number of physical resource blocks.
     num_states, num_inputs, num_normals
         Of every robot, by default a unicycle: states, inputs, standard normals a slot.
+    num_model_values
+        Numbers that the models add.
     """
 
     num_urllc: int
@@ -61,10 +65,11 @@ class LogDims:
     num_states: int = 5
     num_inputs: int = 2
     num_normals: int = 5
+    num_model_values: int = 0
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
-            least = 0 if name in ("num_urllc", "num_embb") else 1
+            least = 0 if name in ("num_urllc", "num_embb", "num_model_values") else 1
             if getattr(self, name) < least:
                 raise ValueError(f"{name} is {getattr(self, name)}; allowed: at least {least}")
         if self.num_urllc + self.num_embb < 1:
@@ -80,7 +85,7 @@ class LogDims:
     def sizes(self) -> dict[str, int]:
         """Sizes by the letters of the table of fields.
 
-        U users, R robots, K PRBs; of a robot N states, M inputs, W normals.
+        U users, R robots, K PRBs; of a robot N states, M inputs, W normals; X numbers of models.
         """
         return {
             "U": self.num_urllc + self.num_embb,
@@ -89,6 +94,7 @@ class LogDims:
             "N": self.num_states,
             "M": self.num_inputs,
             "W": self.num_normals,
+            "X": self.num_model_values,
         }
 
 
@@ -231,19 +237,24 @@ TOPICS: Mapping[str, Topic] = MappingProxyType(
                 ("late_urllc_packets", "<u4", (), _SUMS),
                 ("late_embb_packets", "<u4", (), _SUMS),
             ),
+            _topic(MODELS_TOPIC, ("model_values", "<f8", ("X",), _COMPACT)),
         ]
     )
 )
 
 
-def topics_in(profile: str) -> dict[str, Topic]:
-    """Topics that a profile contains, by name."""
-    return {name: topic for name, topic in TOPICS.items() if topic.fields_in(profile)}
+def topics_in(profile: str, num_model_values: int = 0) -> dict[str, Topic]:
+    """Topics of a log, by name: `/models` only where models add something."""
+    return {
+        name: topic
+        for name, topic in TOPICS.items()
+        if topic.fields_in(profile) and (num_model_values or name != MODELS_TOPIC)
+    }
 
 
-def channel_ids(profile: str) -> dict[str, int]:
-    """MCAP channel (and schema) id of each topic that a profile contains, `/events` last."""
-    names = [*topics_in(profile), EVENTS_TOPIC]
+def channel_ids(profile: str, num_model_values: int = 0) -> dict[str, int]:
+    """MCAP channel (and schema) id of each topic of a log, `/events` last."""
+    names = [*topics_in(profile, num_model_values), EVENTS_TOPIC]
     return {name: i for i, name in enumerate(names, start=1)}
 
 

@@ -12,10 +12,18 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from hiersched.core.model_fields import fields_from_text
 from hiersched.log.events import Event
 from hiersched.log.layout import as_raw
 from hiersched.log.part import LogPart, PartSettings
-from hiersched.log.schema import PROFILES, SCHEMA_VERSION, TOPICS, LogDims, proto_source
+from hiersched.log.schema import (
+    MODEL_FIELDS,
+    PROFILES,
+    SCHEMA_VERSION,
+    TOPICS,
+    LogDims,
+    proto_source,
+)
 
 COMPRESSIONS = ("zstd", "none")
 MAX_CHUNK_BYTES = 1 << 28  # a viewer holds whole chunks in memory
@@ -120,6 +128,13 @@ class LogWriter:
                 raise TypeError(f"metadata {key} is {value!r}; allowed: a string")
             if own.get(key, value) != value:
                 raise ValueError(f"metadata {key} is {value!r}, but the log has {own[key]!r}")
+        if dims.num_model_values:
+            try:
+                fields_from_text(given.get(MODEL_FIELDS, "[]"), dims.num_model_values)
+            except ValueError as error:
+                raise ValueError(f"metadata {MODEL_FIELDS}: {error}") from error
+        else:
+            del own["num_model_values"]  # so that logs without such models stay as they were
         return {**given, **own}
 
     def _open_part(self) -> LogPart:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
+from operator import attrgetter
 from typing import (
     TYPE_CHECKING,
     Any,
@@ -20,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict
 
+from hiersched.core.model_fields import ModelField
 from hiersched.core.parameters import STRICT, Note
 from hiersched.core.registry import PluginError, Registry
 from hiersched.models.plant.feedback import LoopMemory, loop_memory
@@ -60,6 +62,21 @@ class Setup:
         num_robots, longest = scenario.users.num_urllc, scenario.max_delay_steps
         return loop_memory(self.num_envs, num_robots, self.num_samples, longest, n, m)
 
+    def first_value(self, model: Model, name: str) -> int:
+        """Return where a field of a model's `log_fields` begins in `state.model_values[env]`.
+
+        Raises
+        ------
+        ValueError
+            If the scenario does not have this very model, or the model not this field.
+        """
+        for key in SECTIONS:
+            if attrgetter(key)(self.scenario) is model:
+                for field in model_fields(self.scenario):
+                    if field.name == f"{key}/{name}":
+                        return field.start
+        raise ValueError(f"{name}: no field of {model!r} in this scenario")
+
 
 class Belief(NamedTuple):
     """What a base station expects of the arrivals, per user (U,), URLLC first.
@@ -84,7 +101,9 @@ class Model:
     ----------
     log_fields
         What it adds to the log beside the fields that all runs have, name -> unit; one number a
-        user, or a robot for a plant. Its kernel writes them into its words of the same name.
+        user, or a robot for a plant, every slot. Its kernels write them into
+        `state.model_values[env]`, each from `Setup.first_value` on: those that draw or rate the
+        channel for the coming slot, all others for the present one. What is not written is 0.
     """
 
     if TYPE_CHECKING:
@@ -197,11 +216,13 @@ class Section(Registry[type[Model]]):
         Dotted key of the place.
     base
         What a model here has to be.
+    example
+        A model that needs no keys, for messages.
     """
 
-    def __init__(self, key: str, base: type[Model]) -> None:
+    def __init__(self, key: str, base: type[Model], example: str) -> None:
         super().__init__(f"{key}.model")
-        self.key, self.base = key, base
+        self.key, self.base, self.example = key, base, example
 
     def model(self, cls: M) -> M:
         """Register the decorated dataclass under the name in its `model: Literal["name"]`.
@@ -209,8 +230,8 @@ class Section(Registry[type[Model]]):
         Raises
         ------
         PluginError
-            If it has no such field, or is no frozen dataclass, or no model of this kind, or has
-            fields of its own in the log, which nothing writes yet.
+            If it has no such field, or is no frozen dataclass, or no model of this kind; or what it
+            logs has no proper name.
         """
         names = get_args(get_type_hints(cls).get("model"))
         is_frozen = "__dataclass_fields__" in vars(cls) and cls.__dataclass_params__.frozen  # type: ignore[attr-defined]
@@ -219,24 +240,40 @@ class Section(Registry[type[Model]]):
                 f"{cls.__qualname__}: a model of {self.key} is a frozen dataclass, a "
                 f'{self.base.__name__}, with a field `model: Literal["its_name"]`'
             )
-        if cls.log_fields:
-            raise PluginError(
-                f"{cls.__qualname__}.log_fields = {dict(cls.log_fields)}: must be {{}}: no log has "
-                "fields of a model's own yet"
-            )
+        if wrong := [name for name in cls.log_fields if not name.isidentifier()]:
+            raise PluginError(f"{cls.__qualname__}.log_fields: {wrong[0]!r}: must be a name")
         self.add(names[0], cls)
         return cls
 
 
-PATH_LOSS = Section("radio.path_loss", PathLoss)
-FADING = Section("radio.fading", Model)
-REPORT = Section("radio.report", Model)
-LINK = Section("radio.link", Model)
-ARRIVALS = Section("traffic.arrivals", Arrivals)
-QUEUE = Section("traffic.queue", Model)
-PLANT = Section("plant", Plant)
+PATH_LOSS = Section("radio.path_loss", PathLoss, "none")
+FADING = Section("radio.fading", Model, "rayleigh")
+REPORT = Section("radio.report", Model, "truth")
+LINK = Section("radio.link", Model, "shannon")
+ARRIVALS = Section("traffic.arrivals", Arrivals, "poisson")
+QUEUE = Section("traffic.queue", Model, "fifo")
+PLANT = Section("plant", Plant, "unicycle")
 
 SECTIONS = {
     section.key: section for section in (PATH_LOSS, FADING, REPORT, LINK, ARRIVALS, QUEUE, PLANT)
 }
 """All places of a scenario that name a model, by dotted key."""
+
+
+def model_fields(scenario: Scenario) -> tuple[ModelField, ...]:
+    """Return what the models of a scenario add to the log, in the order of `SECTIONS`."""
+    found: list[ModelField] = []
+    start = 0
+    for key in SECTIONS:
+        model: Model = attrgetter(key)(scenario)
+        count = scenario.users.num_urllc if isinstance(model, Plant) else scenario.num_users
+        for name, unit in model.log_fields.items():
+            if count:
+                found.append(ModelField(f"{key}/{name}", unit, start, count))
+                start += count
+    return tuple(found)
+
+
+def num_model_values(scenario: Scenario) -> int:
+    """Return how many numbers the models of a scenario add to the record of a slot."""
+    return sum(field.count for field in model_fields(scenario))

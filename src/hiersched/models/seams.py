@@ -2,7 +2,8 @@
 
 A kernel here is `kernel(me, constants, state, slot, env)`: `simulator.setup.SlotConstants` and
 `SlotState`, `simulator.record.SlotFields` of the slot, and the index of the world. Users come URLLC
-first; U users, R robots (one a URLLC user), K PRBs.
+first; U users, R robots (one a URLLC user), K PRBs. Whatever a model adds to the log its kernels
+write into state.model_values[env] (`Model.log_fields`): slot is the slot in work of any world.
 """
 
 from __future__ import annotations

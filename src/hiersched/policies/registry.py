@@ -47,5 +47,5 @@ class Rule(Model):
         return cls()
 
 
-RULES = Section("policies.*", Rule)
+RULES = Section("policies.*", Rule, "max_weight")
 """Compiled schedulers by the name in their `model: Literal["name"]`."""

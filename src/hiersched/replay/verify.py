@@ -9,7 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hiersched.core.model_fields import element_name
 from hiersched.log import TOPICS, LogReader
+from hiersched.log.schema import MODELS_TOPIC
+from hiersched.models.model import model_fields
 from hiersched.policies.find import find_policy, untrained_names
 from hiersched.policies.policy import LoggedDecisions, LoggedWeights
 from hiersched.policies.registry import Rule
@@ -38,7 +41,8 @@ class Difference:
     Attributes
     ----------
     slot, topic, field
-        Where; ``field`` has the index of the element, as ``state[3,0]``.
+        Where; ``field`` has the index of the element, as ``state[3,0]``, and in ``/models`` the
+        name that its model gave it, as ``radio.fading/coherence[3]``.
     logged, computed
         Both values.
     """
@@ -179,10 +183,14 @@ def _first_difference(
     env, slot = divmod(row, batch.num_slots)
     a, b = logged[name][env, slot], computed[name][env, slot]
     place = tuple(np.argwhere(_bits(a) != _bits(b))[0].tolist())
+    if _TOPIC_OF[name] == MODELS_TOPIC:
+        field = element_name(model_fields(run.scenario), place[0])
+    else:
+        field = name + (f"[{','.join(map(str, place))}]" if place else "")
     return Difference(
         slot=batch.first_slot + row,
         topic=_TOPIC_OF[name],
-        field=name + (f"[{','.join(map(str, place))}]" if place else ""),
+        field=field,
         logged=a[place].item(),
         computed=b[place].item(),
     )

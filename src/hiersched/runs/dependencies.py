@@ -17,6 +17,7 @@ from typing import Any
 from hiersched.core.registry import ALGORITHMS
 from hiersched.core.seam import outside_files
 from hiersched.models.model import SECTIONS
+from hiersched.policies.imported import ImportedPolicy
 from hiersched.runs.fingerprint import code_fingerprint
 from hiersched.runs.variants import (
     SWEPT_KEYS,
@@ -29,7 +30,7 @@ from hiersched.runs.variants import (
 )
 from hiersched.scenario import Scenario, scenario_to_dict
 from hiersched.scenario.plugins import plugin_modules
-from hiersched.scenario.schema import ImportedPolicy, model_at
+from hiersched.scenario.schema import model_at
 
 _SECTIONS = {
     *SECTIONS,

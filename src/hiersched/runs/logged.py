@@ -255,7 +255,7 @@ def read_slots(path: str | os.PathLike[str], names: Sequence[str]) -> RunSlots:
         raise ValueError(f"names: {', '.join(unknown)}: no field of a log")
     with LogReader(path, verify="chunks") as log:
         present = [
-            field.name for topic in TOPICS.values() for field in topic.fields_in(log.profile)[1:]
+            field.name for topic in log.topics for field in TOPICS[topic].fields_in(log.profile)[1:]
         ]
         complete = set(present).issuperset(names)
         fields: dict[str, NDArray[Any]] = {}
@@ -289,7 +289,7 @@ def _recompute(
         record = simulator.run(decisions, multipliers=multipliers)
         computed = logged_fields(run.profile, run.scenario, record.environment(0))
         for name, values in logged.items():
-            if not np.array_equal(values[here], computed[name]):
+            if values[here].tobytes() != computed[name].tobytes():
                 raise LogError(run.path, 0, f"its {name} does not follow from its decisions")
         for name in names:
             parts[name].append(computed[name].copy())

@@ -12,7 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.control import GainSchedule
+from hiersched.core.model_fields import fields_to_text
 from hiersched.log import LogDims, LogWriter
+from hiersched.log.schema import MODEL_FIELDS
+from hiersched.models.model import model_fields, num_model_values
 from hiersched.runs.events import slot_events
 from hiersched.scenario import Scenario, scenario_sha256, scenario_to_yaml
 
@@ -71,6 +74,8 @@ def open_log(
         "gain": scenario.control.gain,
         **(metadata or {}),
     }
+    if fields := model_fields(scenario):
+        text[MODEL_FIELDS] = fields_to_text(fields)
     return LogWriter(
         path,
         log_dims(scenario),
@@ -121,6 +126,7 @@ def log_dims(scenario: Scenario) -> LogDims:
         num_states=num_states,
         num_inputs=num_inputs,
         num_normals=num_normals,
+        num_model_values=num_model_values(scenario),
     )
 
 

@@ -11,6 +11,7 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from hiersched.core.parameters import read_strictly
 from hiersched.models.model import Model, Section
+from hiersched.policies.imported import ImportedPolicy
 from hiersched.policies.registry import RULES
 
 
@@ -26,7 +27,7 @@ def policy_entry() -> PlainValidator:
 
 def _choose(section: Section, value: Any) -> Model:
     if not isinstance(value, Mapping):
-        example = value if isinstance(value, str) else next(iter(section), "name")
+        example = value if isinstance(value, str) else section.example
         raise PydanticCustomError(
             "no_mapping", "must be a mapping with the key `model`, such as {example}",
             {"example": f"{{model: {example}}}"},
@@ -40,8 +41,6 @@ def _choose(section: Section, value: Any) -> Model:
 
 
 def _choose_policy(value: Any) -> Any:
-    from hiersched.scenario.schema import ImportedPolicy  # which needs this module
-
     if isinstance(value, Mapping) and "import" in value:
         return read_strictly(ImportedPolicy, value)
     if not isinstance(value, Mapping) or "model" not in value:

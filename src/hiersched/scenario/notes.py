@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hiersched.models.model import SECTIONS
+from hiersched.policies.imported import ImportedPolicy
 from hiersched.scenario.fault_text import ScenarioError
 from hiersched.scenario.plugins import CONFIG
-from hiersched.scenario.schema import ImportedPolicy, Scenario, model_at
+from hiersched.scenario.schema import Scenario, model_at
 
 _KEY_LINE = re.compile(
     r"^(\s*)([A-Za-z_0-9]+):\s*([^#]*?)\s*"

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from operator import attrgetter
 from typing import Annotated, Literal
 
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
 from hiersched.core.parameters import (
     STRICT,
@@ -32,7 +32,7 @@ from hiersched.models.model import (
     PathLoss,
     Plant,
 )
-from hiersched.policies.index_rules import CLASSICAL
+from hiersched.policies.imported import ImportedPolicy
 from hiersched.policies.registry import Rule
 from hiersched.scenario.choice import chosen_from, policy_entry
 
@@ -158,38 +158,6 @@ class Control:
     decay_rate: Annotated[float, Field(ge=0, lt=1)]
     gain: Literal["adjusted", "nominal"]
     hold_samples: Annotated[int, Field(ge=0)]
-
-
-def _compiled_rule(name: str) -> str:
-    if name not in CLASSICAL:
-        raise ValueError(f"must be one of {', '.join(CLASSICAL)}")
-    return name
-
-
-@dataclass(frozen=True, kw_only=True)
-class ImportedPolicy:
-    """A policy from a function: ``import: "module:function"``, and what it is given.
-
-    Attributes
-    ----------
-    source
-        Key `import`: where the function is.
-    rule
-        The scheduler whose utility its weights multiply.
-    parameters
-        Keyword arguments.
-    """
-
-    __pydantic_config__ = STRICT
-    source: Annotated[
-        str,
-        Field(
-            alias="import",
-            pattern=r"^[A-Za-z_][A-Za-z0-9_]*(\.[A-Za-z_][A-Za-z0-9_]*)*:[A-Za-z_][A-Za-z0-9_]*$",
-        ),
-    ]
-    rule: Annotated[str, AfterValidator(_compiled_rule)] = "pf"
-    parameters: OwnKeys = field(default_factory=dict, hash=False)
 
 
 @dataclass(frozen=True, kw_only=True)

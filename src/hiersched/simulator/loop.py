@@ -50,7 +50,7 @@ class Plugs(NamedTuple):
 
 
 @inner_kernel()
-def _draw_channel(plugs: Any, constants: Any, state: Any, slot: Any, env: int) -> None:
+def draw_channel(plugs: Any, constants: Any, state: Any, slot: Any, env: int) -> None:
     """Draw a world's coming slot: fading, rates, and what is reported of them."""
     if plugs.path_loss.kernel != 0:
         call_plug(plugs.path_loss, constants, state, slot, env)
@@ -78,7 +78,7 @@ def draw_channels(plugs: Any, constants: Any, state: Any, slot: Any) -> None:
     """Draw every world's first slot; the average rate starts at that of one PRB."""
     num_users, num_prb = state.reported_rate_mbps.shape[1:]
     for env in range(state.key.shape[0]):
-        _draw_channel(plugs, constants, state, slot, env)
+        draw_channel(plugs, constants, state, slot, env)
         for user in range(num_users):
             total = 0.0
             for prb in range(num_prb):
@@ -128,8 +128,9 @@ def run_slots(
             # What this slot delivers is known when it has ended: the next slot's samples use it.
             _copy(slot.network_delay_s, state.delay_s[env])
             state.slot[env] += 1
+            _move(state.model_values[env], slot.model_values)
             _copy(one.words, row)
-            _draw_channel(plugs, constants, state, slot, env)
+            draw_channel(plugs, constants, state, slot, env)
 
 
 @kernel()
@@ -160,6 +161,7 @@ def run_robots(
     for word in range(one.words.shape[0]):
         one.words[word] = 0  # what belongs to the network
     for env in range(state.key.shape[0]):
+        _move(state.model_values[env], slot.model_values)  # what belongs to the channel
         for index in range(rows.shape[1]):
             for robot in range(constants.num_urllc):
                 slot.dexterity_index[robot] = state.dexterity_index[env, robot]
@@ -167,6 +169,7 @@ def run_robots(
                 state.delay_s[env, robot] = network_delay_s[env, index, robot]
             _move_robots(plugs, constants, state, slot, env)
             state.slot[env] += 1
+            _move(state.model_values[env], slot.model_values)
             _copy(one.words, rows[env, index])
 
 
@@ -174,6 +177,14 @@ def run_robots(
 def _copy(values: NDArray[Any], out: NDArray[Any]) -> None:
     for i in range(values.shape[0]):
         out[i] = values[i]
+
+
+@njit(inline="always")
+def _move(values: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+    """Copy values and leave zeros."""
+    for i in range(values.shape[0]):
+        out[i] = values[i]
+        values[i] = 0.0
 
 
 @inner_kernel()

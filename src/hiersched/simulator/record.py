@@ -13,8 +13,8 @@ class SlotFields(NamedTuple):
     """What a slot holds, field by field; the shape of one slot is noted.
 
     U users (URLLC first), R robots (one a URLLC user), K PRBs. A robot has N states, M inputs and W
-    normals: 5, 2 and 5 for a unicycle, n, m and 2 n for a linear plant. Fields and units are those
-    of the log's topics.
+    normals: 5, 2 and 5 for a unicycle, n, m and 2 n for a linear plant. X numbers are those that
+    models add. Fields and units are those of the log's topics.
     """
 
     fading_power: NDArray[np.float32]  # (U, K) squared amplitude
@@ -52,6 +52,7 @@ class SlotFields(NamedTuple):
     control_saturated: NDArray[np.uint32]  # (R,) samples
     tracking_error_m: NDArray[np.float64]  # (R,) root mean square over the slot
     dexterity_index: NDArray[np.float64]  # (R,) in force
+    model_values: NDArray[np.float64]  # (X,) fields of the models (`models.model.model_fields`)
 
 
 class OneSlot(NamedTuple):
@@ -82,6 +83,7 @@ _SHAPES: dict[str, tuple[str | int, ...]] = {
     "state": ("R", "N"),
     "reference": ("R", 5),
     "control": ("R", "M"),
+    "model_values": ("X",),
 }
 _PER_ROBOT = (
     "multiplier",
@@ -130,6 +132,8 @@ class SlotLayout:
         U, R and K of the shapes in `SlotFields`.
     robot_sizes
         N, M and W; those of a unicycle unless given.
+    num_model_values
+        X.
     """
 
     def __init__(
@@ -138,8 +142,9 @@ class SlotLayout:
         num_robots: int,
         num_prb: int,
         robot_sizes: tuple[int, int, int] = (5, 2, 5),
+        num_model_values: int = 0,
     ) -> None:
-        sizes = {"U": num_users, "R": num_robots, "K": num_prb}
+        sizes = {"U": num_users, "R": num_robots, "K": num_prb, "X": num_model_values}
         sizes |= zip("NMW", robot_sizes, strict=True)
         self._places: dict[str, tuple[int, np.dtype[Any], tuple[int, ...]]] = {}
         offset = 0

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.allocation.objective import UserTerms
-from hiersched.models.model import Belief, Setup
+from hiersched.models.model import Belief, Setup, num_model_values
 from hiersched.models.plant.feedback import LoopConstants
 from hiersched.scenario.schema import Scenario
 
@@ -111,6 +111,9 @@ class SlotState(NamedTuple):
         force, 0 for the nominal gain.
     robot_state
         Of each robot at the end of the last slot, shape (E, R, N).
+    model_values
+        What models add to the record of the slot (`Model.log_fields`), shape (E, X); 0 until
+        written.
     """
 
     key: NDArray[np.uint64]
@@ -131,6 +134,7 @@ class SlotState(NamedTuple):
     dexterity_index: NDArray[np.float64]
     gain_delay_steps: NDArray[np.uint32]
     robot_state: NDArray[np.float64]
+    model_values: NDArray[np.float64]
 
 
 class SlotScratch(NamedTuple):
@@ -271,6 +275,7 @@ def slot_state(setup: Setup, *, has_report: bool) -> SlotState:
         dexterity_index=robots(),
         gain_delay_steps=np.zeros((num_envs, num_robots), np.uint32),
         robot_state=np.zeros((num_envs, num_robots, num_states)),
+        model_values=np.zeros((num_envs, num_model_values(scenario))),
     )
 
 

@@ -14,7 +14,7 @@ from hiersched.allocation.objective import user_terms
 from hiersched.core.pointer import Pointer
 from hiersched.core.seam import UNUSED, KernelError, Plug, Seam, address_of
 from hiersched.models import seams
-from hiersched.models.model import Model, Setup
+from hiersched.models.model import Model, Setup, num_model_values
 from hiersched.policies.features import num_features, observe_worlds
 from hiersched.policies.find import find_policy
 from hiersched.policies.policy import LoggedDecisions, Owners, Policy, View, Weigher, Weights
@@ -102,6 +102,7 @@ class Simulator:
             scenario.users.num_urllc,
             scenario.radio.num_prb,
             scenario.robot_sizes,
+            num_model_values(scenario),
         )
         self.slot_in_work = one = self._layout.slot()
         self._scratch = Pointer(SlotScratch(terms=user_terms(self.constants)))
@@ -427,6 +428,7 @@ class Simulator:
                 self._set_weights(np.asarray(decision.values, np.float64))
                 self._call(self._prepare(self._base(decision.rule)), self._no_owners, one)
             elif isinstance(decision, Owners):
+                self.state.weight[:] = 1.0
                 owners = self._owners(np.asarray(decision.prb_owner)[:, None], 1)
                 self._call(self._prepare(None), owners, one)
             else:
