@@ -1,0 +1,51 @@
+"""Machine code of a kernel of ours that outside types have reached."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+CALL = """
+from typing import NamedTuple
+import numpy as np
+from hiersched.models.plant.feedback import entry_in_force
+
+class {name}(NamedTuple):
+    max_delay_steps: int
+    hold_samples: int
+
+assert entry_in_force({name}(3, 0), 5, np.zeros(2, np.int64)) == 3
+print(sum(entry_in_force.stats.cache_hits.values()))
+"""
+OURS = """
+import numpy as np
+from hiersched.models.plant.feedback import LoopConstants, entry_in_force
+
+rows = [np.zeros((2, 1, 1))] * 2
+loop = LoopConstants(0.1, 0.0, 1, *rows, np.zeros((2, 1, 1, 1)), False, 0, np.zeros(2, np.uint32))
+assert entry_in_force(loop, 5, np.zeros(2, np.int64)) == 1
+print(sum(entry_in_force.stats.cache_hits.values()))
+"""
+
+
+def test_a_class_that_is_not_there_any_more_disturbs_no_kernel(project_root, tmp_path):
+    """Numba reads all entries of an index at once, and fails where one names a class in vain."""
+    path = os.pathsep.join((str(tmp_path), str(project_root / "src")))
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": path}
+
+    def hits(*words):
+        done = subprocess.run(
+            [sys.executable, *words], env=env, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stderr
+        return int(done.stdout)
+
+    module = tmp_path / "my_loop.py"
+    module.write_text(CALL.format(name="Loop"), encoding="utf-8")
+    use = "-c", "import my_loop"
+    assert [hits(*use), hits(*use)] == [0, 1]
+    module.write_text(CALL.format(name="Other"), encoding="utf-8")
+    assert [hits(*use), hits(*use)] == [0, 1]
+    module.unlink()
+    assert [hits("-c", OURS), hits("-c", OURS)] == [0, 1]
