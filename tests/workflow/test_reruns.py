@@ -195,7 +195,7 @@ def test_the_regulator_runs_everything(tree: Path) -> None:
         ),
         # Jobs of learned policies measure the runs that they do not log.
         (["study/metrics.py"], {j for j in LEARNED if "train" not in j} | MEASURES | ALWAYS),
-        (["network/schedulers.py"], {"gains", "kernels", "stability", *EVERY_RUN, *ALWAYS}),
+        (["policies/index_rules.py"], {"gains", "kernels", "stability", *EVERY_RUN, *ALWAYS}),
     ],
 )
 def test_code_runs_its_dependents(tree: Path, modules: list[str], jobs: set[str]) -> None:
