@@ -65,7 +65,7 @@ format: $(STAMP)  ## let the formatters have their way
 
 oldest:  ## the kernels' tests on the oldest Numba that pyproject.toml allows (an environment of its own)
 	test -x .venv-oldest/bin/python || "$(PYTHON)" -m venv .venv-oldest
-	.venv-oldest/bin/python -m pip install --quiet $(PIP_ARGS) "numba==$(OLDEST_NUMBA)" "numpy<2.2" scipy "pydantic>=2.8" pyyaml cvxpy clarabel control pytest hypothesis
+	.venv-oldest/bin/python -m pip install --quiet $(PIP_ARGS) "numba==$(OLDEST_NUMBA)" "numpy<2.2" scipy "pydantic>=2.8" pyyaml cvxpy clarabel control mcap mcap-protobuf-support zstandard pytest hypothesis
 	.venv-oldest/bin/python -m pip install --quiet --no-deps -e .
 	.venv-oldest/bin/python -m pytest -q tests/core tests/simulator
 

@@ -277,6 +277,16 @@ MISTAKES = {
             'model: Literal["urgent"] = "urgent"\n    allocation = "own"',
             "UrgentWords has no kernel for the seam allocation of a rule:",
         ),
+        (
+            'model: Literal["urgent"] = "urgent"',
+            'model: Literal["urgent"] = "urgent"\n    allocation = "capped"',
+            "a rule gave a user a need that is negative or not a number, or none",
+        ),
+        (
+            "view: View, level: float, price: float",
+            "view: View, level: float",
+            "got an unexpected keyword argument 'price'",
+        ),
     ],
     "channel": [
         (
@@ -324,7 +334,7 @@ MISTAKES = {
         (
             "draw_uniforms(np.uint64(key), STREAM_PLACE, 0, 0, uniform)",
             "uniform[:] = np.random.uniform(size=num_users)",
-            "rate_mbps: a world in a batch differs from the same world alone (first in slot 0)",
+            "rate_mbps: a second run of the same worlds differs, under pf (first in slot 0)",
         ),
         (
             "keep = me.correlation if now > 0 else 0.0",
@@ -332,6 +342,16 @@ MISTAKES = {
             "words.part[...] = 0.0",
             "pass",
             "fading_power: `reset` leaves something of the episode before (first in slot 0)",
+        ),
+        (
+            "range(state.fading_power.shape[2])",
+            "range(state.fading_power.shape[2] - 1)",
+            "fading_power: not written in every slot (first in slot 1)",
+        ),
+        (
+            "= F32(power)",
+            "= -F32(power)",
+            "fading_power: -1.22 in slot 0",
         ),
     ],
     "traffic": [

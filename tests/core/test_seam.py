@@ -132,6 +132,14 @@ def test_a_kernel_of_another_form_is_refused(source):
     assert not TRY.fits(Unknown())
 
 
+def test_words_of_another_file_keep_their_kernel():
+    made = {"__name__": "seam_elsewhere"}
+    code = compile("def mine(me, constants, state, slot, env): pass", "seam_elsewhere.py", "exec")
+    exec(code, made)
+    with pytest.raises(TypeError, match="mine: Factor has a kernel of the seam a place for tests"):
+        TRY.kernel(Factor)(made["mine"])
+
+
 def test_words_without_a_kernel_are_refused(world):
     assert TRY.fits(Factor(1.0, np.zeros(3)))
     with pytest.raises(TypeError, match="Unknown has no kernel for the seam a place for tests"):

@@ -17,11 +17,16 @@ def test_replay_says_ok_or_where(
     study: Path, tmp_path: Path, rewrite: Any, capsys: pytest.CaptureFixture
 ) -> None:
     assert main(["replay", str(study / PF)]) == 0
-    assert "OK, 40 slots computed again, every bit the same" in capsys.readouterr().out
+    out = capsys.readouterr().out
+    assert out.endswith("OK, 40 slots computed again, every bit the same\n")
 
     def change(fields: dict, events: list, metadata: dict) -> None:
         fields["backlog_packets"][21, 3] *= 1 + 2**-52
 
+    ddpg = str(study / "eval/ddpg/seed11.mcap")
+    assert main(["replay", ddpg]) == 0
+    out = capsys.readouterr().out
+    assert out.endswith("decisions are those of the log: --policy asks the policy again\n")
     path = rewrite(study / PF, tmp_path / "a.mcap", change)
     assert main(["replay", str(path)]) == 1
     assert "differs in slot 21, topic /queue, field backlog_packets[3]: " in capsys.readouterr().out

@@ -45,6 +45,12 @@ def test_record_of_another_shape(make_simulator):
         simulator.run("pf", 6, record=simulator.new_record(5))
 
 
+def test_record_of_another_scenario(make_simulator):
+    other = make_simulator(radio={"num_prb": 12}).new_record(6)
+    with pytest.raises(ValueError, match=r"record: rows of \d+ words, must be \d+ \(it is of anot"):
+        make_simulator().run("pf", 6, record=other)
+
+
 def test_number_of_worlds(make_simulator):
     with pytest.raises(ValueError, match="3 worlds, must be 2"):
         make_simulator().reset(world_keys("test", 1, 3))

@@ -17,6 +17,7 @@ from hiersched.models.plant.unicycle import Unicycle, UnicycleWords, drive_unicy
 from hiersched.models.queue.fifo import Fifo
 from hiersched.models.seams import DRAW_FADING, DRIVE
 from hiersched.policies.policy import LoggedDecisions, Owners
+from hiersched.policies.registry import RULES, Rule
 from hiersched.simulator.record import SlotRecord
 
 
@@ -209,6 +210,16 @@ def test_fields_need_a_name(name):
     with pytest.raises(PluginError, match=r"Nameless\.log_fields: .*: must be a name"):
         FADING.model(Nameless)
     assert "nameless" not in FADING
+
+
+def test_rules_log_nothing():
+    @dataclass(frozen=True, kw_only=True)
+    class Talks(Rule):
+        log_fields: ClassVar = {"level": "1"}
+        model: Literal["talks"] = "talks"
+
+    with pytest.raises(PluginError, match=r"Talks\.log_fields: a model of policies\.\* logs"):
+        RULES.model(Talks)
 
 
 def test_built_in_models_add_nothing():

@@ -66,6 +66,31 @@ def allocate_own(me, constants, state, slot, env):
         slot.prb_owner[prb] = owner
 
 
+class TurnWords(NamedTuple):
+    turn: Any
+
+
+@dataclass(frozen=True, kw_only=True)
+class Turn(Rule):
+    """Owners by a counter of its own, which begins at the key of the world."""
+
+    model: Literal["turn"] = "turn"
+    allocation = "own"
+
+    def words(self, setup):
+        return TurnWords(np.zeros(setup.num_envs, np.int64))
+
+    def reset(self, words, keys):
+        words.turn[:] = keys % np.uint64(8)
+
+
+@ALLOCATE.kernel(TurnWords)
+def allocate_turn(me, constants, state, slot, env):
+    for prb in range(slot.prb_owner.shape[0]):
+        slot.prb_owner[prb] = (me.turn[env] + prb) % slot.rate_mbps.shape[0]
+    me.turn[env] += 3
+
+
 class DoubleWords(NamedTuple):
     factor: float
 
@@ -210,15 +235,20 @@ def test_a_policy_cannot_write_into_its_view(make_simulator, assert_same_bits):
     [
         (
             lambda: Weights(np.zeros((2, 8))),
-            r"weights: must be positive and finite, shape \(2, 8\)",
+            r"weights: must be positive and finite, shape \(2, 8\); user 0 of world 0 has 0.0",
         ),
-        (lambda: Weights(np.ones((2, 7))), "weights: must be positive"),
+        (lambda: Weights(np.ones((2, 7))), r"shape \(2, 8\), not \(2, 7\)"),
         (lambda: Weights(np.ones((2, 8)), "best"), "policy = 'best': must be one of pf"),
         (lambda: Weights(np.ones((2, 8)), "exact"), "rule = 'exact': a policy that calls Python"),
-        (lambda: Owners(np.zeros((2, 10), int)), "prb_owner: every user 0 to 7 must own a PRB"),
-        (lambda: Owners(np.tile(np.arange(10), (2, 1))), "and nobody else"),
-        (lambda: Owners(np.tile(np.arange(-1, 9), (2, 1))), "and nobody else"),
-        (lambda: Owners(np.zeros((2, 9), int)), r"prb_owner: shape \(2, 1, 9\)"),
+        (
+            lambda: Owners(np.zeros((2, 10), int)),
+            "every user 0 to 7 must own a PRB, and nobody else; user 1 of world 0 has none",
+        ),
+        (lambda: Owners(np.tile(np.arange(10), (2, 1))), "; PRB 8 of world 0 has 8"),
+        (lambda: Owners(np.tile(np.arange(-1, 9), (2, 1))), "; PRB 0 of world 0 has -1"),
+        (lambda: Owners(np.zeros((2, 10))), "prb_owner: of type float64, must be integers"),
+        (lambda: Owners(np.zeros((2, 9), int)), r"shape \(2, 9\), must be \(2, 10\)"),
+        (lambda: Owners(np.zeros(10, int)), r"shape \(10,\), must be \(2, 10\)"),
         (lambda: np.ones((2, 8)), r"Decider.decide returned ndarray: must be Weights or Owners"),
     ],
 )
@@ -241,6 +271,19 @@ def test_a_rule_with_an_allocation_of_its_own_runs(make_simulator, assert_same_b
     simulator = make_simulator()
     owners = simulator.decide(Own())
     np.testing.assert_array_equal(owners, expected.prb_owner[:, 0])
+
+
+def test_what_a_rule_remembers_is_of_its_episode(make_simulator, assert_same_bits):
+    keys = make_simulator().state.key
+    expected = make_simulator().run(Turn())
+    np.testing.assert_array_equal(expected.prb_owner[:, 1, 0], (keys % np.uint64(8) + 3) % 8)
+    simulator = make_simulator()
+    simulator.run(Turn(), 7)
+    simulator.reset(keys[::-1])
+    other = simulator.run(Turn())
+    simulator.reset(keys)
+    assert_same_bits(simulator.run(Turn()), expected)
+    np.testing.assert_array_equal(other.prb_owner, expected.prb_owner[::-1])
 
 
 @pytest.mark.parametrize(

@@ -231,6 +231,14 @@ def test_policies_that_are_all_alike_are_a_rule() -> None:
     assert skewed_interval(np.full((3, 4), 0.1)) == (pytest.approx(0.1),) * 3
 
 
+def test_pairs_that_differ_alone_have_an_interval() -> None:
+    pairs = np.array([[1.0, 3.0], [3.0, 1.0]])
+    for interval in (mean_interval, skewed_interval):
+        assert interval(pairs) == interval(pairs.ravel())
+        mean, lo, hi = interval(pairs)
+        assert lo < mean < hi
+
+
 def test_a_single_policy_or_world_adds_no_part() -> None:
     for interval in (mean_interval, skewed_interval):
         assert interval(A[None]) == interval(A)

@@ -47,7 +47,7 @@ def add_commands(commands: Any) -> None:
 def _replay(parsed: argparse.Namespace) -> int:
     from hiersched.cli.errors import InputError
     from hiersched.replay.expand import expand
-    from hiersched.replay.verify import verify
+    from hiersched.replay.verify import decides_again, verify
     from hiersched.runs.logged import load_run
 
     run = load_run(parsed.log)
@@ -67,6 +67,8 @@ def _replay(parsed: argparse.Namespace) -> int:
         raise InputError(f"{parsed.log}: {error}") from error
     if difference is None:
         print(f"{parsed.log}: OK, {run.num_slots} slots computed again, every bit the same")
+        if not decides_again(run):
+            print("decisions are those of the log: --policy asks the policy again")
         if parsed.out:
             print(f"{parsed.out}: the same run, profile full")
         return 0
@@ -88,7 +90,10 @@ def _counterfactual(run: LoggedRun, policy: str, out: str | None) -> int:
         raise InputError(f"{out}: exists; a counterfactual never overwrites a file")
     with tempfile.TemporaryDirectory() as folder:
         target = Path(out) if out else Path(folder, "run.mcap")
-        rerun(run, other, target)
+        try:
+            rerun(run, other, target)
+        except (TypeError, ValueError) as error:
+            raise InputError(f"{run.path}: policy {other.name}: {error}") from error
         if out:
             print(f"{out}: {other.name} in the world of {run.path}")
         if log_digest(target) == log_digest(run.path):

@@ -82,13 +82,18 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     No reference counting: the kernels allocate nothing, and counting every view of an array took a
     third of the slot loop's time. Division by zero is that of IEEE 754. No entry for C callbacks,
     which nobody uses and whose compilation takes a tenth of the whole.
+
+    Machine code is kept on disk for the package and, since `core.seam` hashes their sources, for
+    plugged kernels: of others outside nobody would notice that what they call has changed.
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
+        is_ours = Path(function.__code__.co_filename).resolve().is_relative_to(PACKAGE)
+        cache = options.pop("cache", is_ours)
         dispatcher = njit(
-            error_model="numpy", _nrt=False, cache=True, no_cfunc_wrapper=True, **options
+            error_model="numpy", _nrt=False, cache=cache, no_cfunc_wrapper=True, **options
         )(function)
-        if isinstance(dispatcher, CPUDispatcher):  # else NUMBA_DISABLE_JIT is set
+        if cache and isinstance(dispatcher, CPUDispatcher):  # else NUMBA_DISABLE_JIT is set
             dispatcher._cache._cache_file.__class__ = _IndexByClasses
         return dispatcher
 

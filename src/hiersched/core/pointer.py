@@ -4,9 +4,8 @@ Every leaf of the tuple takes 8-byte words: a number one, an array the seven or 
 The words are written from Python, so nothing is compiled to hand them over. They do not change
 while a kernel runs, and its loads say so: the compiler may keep them in registers.
 
-This leans on Numba's inner interfaces (array headers, attribute lowering), and is the only module
-besides `core.seam` that does; the tests run it on the oldest and the newest Numba that
-`pyproject.toml` allows.
+This leans on Numba's inner interfaces (array headers, attribute lowering), as `core.seam` and
+`core.compiled` do; `make oldest` runs them on the oldest Numba that `pyproject.toml` allows.
 """
 
 from __future__ import annotations

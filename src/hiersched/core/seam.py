@@ -82,7 +82,14 @@ class Seam:
                     f"{function.__qualname__}({', '.join(given)}): a kernel of the seam "
                     f"{self.name} must be {function.__qualname__}({', '.join(FORM)})"
                 )
-            self._kernels[words] = inner_kernel()(function)
+            other = self._kernels.get(words)
+            if other is not None and _file_of(other.py_func) != _file_of(function):
+                raise TypeError(
+                    f"{function.__qualname__}: {words.__name__} has a kernel of the seam "
+                    f"{self.name} already, in {_file_of(other.py_func)}: words of another file are "
+                    "not to be plugged anew"
+                )
+            self._kernels[words] = inner_kernel(cache=True)(function)
             # Now, not when it is compiled: a file may have been edited by then.
             self._sources[words] = _outside_sources(function)
             return self._kernels[words]

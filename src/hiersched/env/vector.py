@@ -42,10 +42,11 @@ def slot_info(record: SlotRecord, scenario: Scenario) -> dict[str, NDArray[Any]]
 class SlicingVectorEnv(VectorEnv):
     """E worlds side by side; one decision a slot for all users of both slices.
 
-    Observation (E, U, F): `env.features`. Action (E, U): one number in [-1, 1] for every user, the
-    weight is exp(c a). Reward: mean of both slices' rewards; the parts and the cost are in the
-    info. An episode ends at the slot limit only, which is truncation; all worlds end together and
-    start anew in the same step (SAME_STEP), with the last observation in ``info["final_obs"]``.
+    Observation (E, U, F): `policies.features`. Action (E, U): one number in [-1, 1] for every
+    user, the weight is exp(c a). Reward: mean of both slices' rewards; the parts and the cost are
+    in the info. An episode ends at the slot limit only, which is truncation; all worlds end
+    together and start anew in the same step (SAME_STEP), with the last observation in
+    ``info["final_obs"]``.
 
     Parameters
     ----------

@@ -81,7 +81,7 @@ def max_weight_shares(
     weights
         Positive, shape (..., U).
     features
-        Features of `env.features`, shape (..., U, F): queue and rate are formed from them.
+        Features of `policies.features`, shape (..., U, F): queue and rate are formed from them.
     num_prb
         K, at least U.
     floor_slope

@@ -240,6 +240,8 @@ class Section(Registry[type[Model]]):
                 f"{cls.__qualname__}: a model of {self.key} is a frozen dataclass, a "
                 f'{self.base.__name__}, with a field `model: Literal["its_name"]`'
             )
+        if cls.log_fields and self.key not in SECTIONS:
+            raise PluginError(f"{cls.__qualname__}.log_fields: a model of {self.key} logs nothing")
         if wrong := [name for name in cls.log_fields if not name.isidentifier()]:
             raise PluginError(f"{cls.__qualname__}.log_fields: {wrong[0]!r}: must be a name")
         self.add(names[0], cls)

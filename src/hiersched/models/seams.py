@@ -12,7 +12,8 @@ from hiersched.core.seam import Seam
 
 DRAW_FADING = Seam(
     "radio.fading",
-    reads="state.key[env], state.slot[env]: the coming slot",
+    reads="state.key[env], state.slot[env]: the coming slot, 0 to setup.num_slots: the loop "
+    "draws the channel of the next slot at the end of each",
     writes="state.fading_power[env] (U, K): squared amplitudes, float32",
 )
 MOVE_USERS = Seam(

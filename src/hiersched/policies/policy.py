@@ -97,6 +97,9 @@ class Weigher:
         """Return the NamedTuple that its kernel gets."""
         raise NotImplementedError
 
+    def reset(self, words: Any, keys: NDArray[np.uint64]) -> None:
+        """Bring the words back to the start of an episode in the worlds `keys` (E,), in place."""
+
 
 class FunctionPolicy:
     """A Python function of a view as a policy.

@@ -138,12 +138,18 @@ def _compute(
     return record
 
 
+def decides_again(run: LoggedRun) -> bool:
+    """Whether replay lets the run's policy decide again, or takes the decisions of the log."""
+    if run.stage == "gain_study":
+        return True  # there is nothing to decide
+    known = run.policy in untrained_names(run.scenario)
+    return known and isinstance(find_policy(run.scenario, run.policy), Rule)
+
+
 def _decider(run: LoggedRun, logged: Fields) -> AnyPolicy:
     """Return what decides again: a rule, or the decisions of the log."""
-    if run.policy in untrained_names(run.scenario):
-        policy = find_policy(run.scenario, run.policy)
-        if isinstance(policy, Rule):
-            return policy
+    if decides_again(run):
+        return find_policy(run.scenario, run.policy)
     if "start" not in run.metadata or np.isnan(logged.get("weight", np.nan)).any():
         return LoggedDecisions(logged["prb_owner"])
     return LoggedWeights(logged["weight"].astype(np.float64), run.metadata["start"])

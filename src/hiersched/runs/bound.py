@@ -20,7 +20,7 @@ from hiersched.policies.index_rules import CLASSICAL
 from hiersched.runs import paths
 from hiersched.runs.gains import load_gains
 from hiersched.runs.logged import read_slots
-from hiersched.runs.policies import seed_worlds
+from hiersched.runs.policies import seed_worlds, world_slots
 from hiersched.scenario import Scenario
 from hiersched.simulator import Simulator
 
@@ -79,10 +79,11 @@ def compute_bound(scenario: Scenario, results: Path, output: Path) -> None:
         If a log is damaged, or its rates do not follow from channel and allocation.
     """
     _, gains = load_gains(results / paths.gain_file("schedule"), scenario)
+    num_slots, _ = world_slots(scenario.evaluate, scenario.radio.slot_s)
     rows: list[dict[str, Any]] = []
     for policy in scenario.evaluate.policies:
         for seed in scenario.evaluate.seeds:
-            world = Simulator(scenario, gains, seed_worlds("evaluate", [seed]), 1)
+            world = Simulator(scenario, gains, seed_worlds("evaluate", [seed]), num_slots)
             path = results / paths.evaluation_log(policy, seed)
             for moment in read_moments(path, world, scenario.bound.slots_per_log):
                 rows += _rows(moment, world, {"policy": policy, "seed": seed})

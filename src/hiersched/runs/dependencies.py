@@ -188,8 +188,14 @@ def plugin_hashes(scenario: Scenario) -> dict[str, str]:
         policy for policy in scenario.policies.values() if not isinstance(policy, ImportedPolicy)
     ]
     learners = [ALGORITHMS.loaded(learning.algorithm) for learning in scenario.learned.values()]
-    for kind in (*map(type, models), *map(type, rules), *learners):
-        module = sys.modules.get(getattr(kind, "__module__", ""))
+    kinds = (*map(type, models), *map(type, rules), *learners)
+    names = [getattr(kind, "__module__", "") for kind in kinds]
+    names += [
+        policy.source.partition(":")[0]
+        for policy in scenario.policies.values()
+        if isinstance(policy, ImportedPolicy)
+    ]
+    for module in map(sys.modules.get, names):
         if module is not None and module not in modules.values():
             found |= _outside_hash(module)
     return found

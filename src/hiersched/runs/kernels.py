@@ -1,4 +1,8 @@
-"""Compiles the slot loop ahead of the jobs; `hiersched.core.compiled` keeps the machine code."""
+"""Compiles the slot loop ahead of the jobs; `hiersched.core.compiled` keeps the machine code.
+
+Those of the models of `smoke`: what a scenario or a plug-in brings beside them is compiled where it
+is first used.
+"""
 
 from __future__ import annotations
 

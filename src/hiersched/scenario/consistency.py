@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 from importlib import import_module
+from inspect import signature
 from typing import Any
 
 from pydantic import ValidationError
@@ -175,23 +176,32 @@ def _own_policies(scenario: Scenario) -> list[str]:
         if name in taken:
             faults.append(f"policies.{name}: the name of {taken[name]}: must be another one")
         if isinstance(policy, ImportedPolicy):
-            faults += _import_faults(f"policies.{name}.import", policy.source)
+            faults += _import_faults(f"policies.{name}", policy)
         else:
             asked = _asked(f"policies.{name}", policy.faults, scenario)
             faults += [f"policies.{name}: {fault}" for fault in asked]
     return faults
 
 
-def _import_faults(key: str, source: str) -> list[str]:
+def _import_faults(key: str, policy: ImportedPolicy) -> list[str]:
+    source = policy.source
     module, _, name = source.partition(":")
     try:
         found = getattr(import_module(module), name)
     except Exception as error:
         return [
-            f"{key} = {source!r}: cannot be imported: {type(error).__name__}: {error} (name its "
-            "file under `plugins`)"
+            f"{key}.import = {source!r}: cannot be imported: {type(error).__name__}: {error} "
+            "(name its file under `plugins`)"
         ]
-    return [] if callable(found) else [f"{key} = {source!r}: must be a function"]
+    if not callable(found):
+        return [f"{key}.import = {source!r}: must be a function"]
+    try:
+        signature(found).bind(None, **policy.parameters)
+    except TypeError as error:
+        return [f"{key}.parameters of {source}{signature(found)}: {error}"]
+    except ValueError:  # a function of a library may have no signature
+        pass
+    return []
 
 
 def _learners(scenario: Scenario) -> list[str]:

@@ -27,7 +27,7 @@ class ModelCheckError(ValueError):
 
 
 def check_models(
-    scenario: Scenario, policies: Sequence[AnyPolicy] = ("pf", "round_robin"), num_slots: int = 100
+    scenario: Scenario, policies: Sequence[AnyPolicy] | None = None, num_slots: int = 100
 ) -> None:
     """Run the models of a scenario, and its policies, and look for what no model may do.
 
@@ -41,7 +41,8 @@ def check_models(
     scenario
         The validated scenario.
     policies
-        Names or compiled policies, two or more that decide differently.
+        Names or policies, two or more that decide differently; unless given PF, round robin and
+        those that the scenario adds.
     num_slots
         Length of a run.
 
@@ -50,12 +51,16 @@ def check_models(
     ModelCheckError
         If a rule is broken.
     """
+    if policies is None:
+        policies = ("pf", "round_robin", *scenario.policies)
     trial = _Trial(scenario, num_slots)
     first = [trial.run(policy) for policy in policies]
-    faults = [fault for fields in first for fault in _not_finite(fields)]
+    faults = [fault for fields in first for fault in _out_of_range(fields)]
     faults += trial.of_robots()
     for policy, fields in zip(policies, first, strict=True):
-        faults += trial.of_policy(policy, fields)
+        what = f"a second run of the same worlds differs, under {policy}"
+        again = _differ(what, trial.run(policy), fields)
+        faults += again or trial.of_policy(policy, fields)
     for policy, fields in zip(policies[1:], first[1:], strict=True):
         of_world = ({name: one[name] for name in WORLD} for one in (first[0], fields))
         faults += _differ(f"decisions of {policies[0]} and {policy} change the draws", *of_world)
@@ -116,13 +121,18 @@ class _Trial:
         yield from _differ("slots one by one are others than in one call", zeros, in_one_call)
 
     def run_over(self, policy: AnyPolicy, word: int) -> Fields:
-        """Run slot by slot over a slot in work that is full of a word."""
+        """Run slot by slot over a slot in work, and a coming channel, that are full of a word."""
         simulator = self.simulator(self.keys)
         slots = []
         for _ in range(self.num_slots):
             simulator.slot_in_work.words[:] = word
-            slots.append(simulator.run(policy, 1)._asdict())
+            channel = simulator.state.fading_power.copy()
+            # The slot itself only logs it: this is what the channel of the next one is drawn over.
+            simulator.state.fading_power.view(np.uint32)[:] = word & 0xFFFFFFFF
+            fields = simulator.run(policy, 1)._asdict()
+            slots.append({**fields, "fading_power": channel[:, None]})
         names = list(SlotFields._fields)
+        names.remove("mean_fading_power")  # of what lies there now
         if not self.scenario.plant.has_pose:
             names.remove("reference")  # there is none
         return {name: np.concatenate([slot[name] for slot in slots], axis=1) for name in names}
@@ -141,11 +151,15 @@ def _distinct_gains(scenario: Scenario) -> LoopGains:
     )
 
 
-def _not_finite(fields: Fields) -> list[str]:
+def _out_of_range(fields: Fields) -> list[str]:
     return [
         f"{name}: {values[~np.isfinite(values)][0]} in slot {_first(~np.isfinite(values))}"
         for name, values in fields.items()
         if not np.isfinite(values).all()
+    ] + [
+        f"{name}: {values[values < 0.0][0]:.3g} in slot {_first(values < 0.0)}"
+        for name, values in fields.items()
+        if name == "fading_power" and (values < 0.0).any()
     ]
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from hiersched.allocation.marginal import UTILITY_CAPPED
 from hiersched.core.compiled import inner_kernel, kernel
 from hiersched.core.numerics import F32
 from hiersched.core.randomness import STREAM_ARRIVAL, draw_uniforms
@@ -131,6 +132,7 @@ def run_slots(
             _move(state.model_values[env], slot.model_values)
             _copy(one.words, row)
             draw_channel(plugs, constants, state, slot, env)
+        _check_robots(state.robot_state[env])
 
 
 @kernel()
@@ -171,6 +173,7 @@ def run_robots(
             state.slot[env] += 1
             _move(state.model_values[env], slot.model_values)
             _copy(one.words, rows[env, index])
+        _check_robots(state.robot_state[env])
 
 
 @njit(inline="always")
@@ -240,7 +243,11 @@ def _decide(plugs: Any, constants: Any, state: Any, scratch: Any, slot: Any, env
     if plugs.rule.kernel == 0:
         _copy(state.weight[env], state.index_weight[env])
     else:
+        for user in range(slot.rate_mbps.shape[0]):  # what the kernel does not write is found
+            state.index_weight[env, user] = state.need_mbps[env, user] = np.nan
         call_plug(plugs.rule, constants, state, slot, env)
+        if plugs.how == IN_ORDER or plugs.code == UTILITY_CAPPED:
+            _check_needs(state.need_mbps[env])
         if plugs.how == BY_UTILITY:  # an urgency is no utility: weights leave it alone
             for user in range(slot.rate_mbps.shape[0]):
                 state.index_weight[env, user] *= state.weight[env, user]
@@ -268,6 +275,29 @@ def _check_weights(how: int, weight: NDArray[np.float64]) -> None:
             wrong += 1
     if wrong > 0:
         raise ValueError("a policy gave a user a weight that is negative or not finite")
+
+
+@inner_kernel()
+def _check_needs(need: NDArray[np.float64]) -> None:
+    """Refuse needs that are negative or not there."""
+    wrong = 0
+    for user in range(need.shape[0]):
+        if not need[user] >= 0.0:
+            wrong += 1
+    if wrong > 0:
+        raise ValueError("a rule gave a user a need that is negative or not a number, or none")
+
+
+@inner_kernel()
+def _check_robots(robot_state: NDArray[np.float64]) -> None:
+    """Refuse a plant that has gone beyond all numbers; what is not finite stays so."""
+    wrong = 0
+    for robot in range(robot_state.shape[0]):
+        for i in range(robot_state.shape[1]):
+            if not abs(robot_state[robot, i]) < np.inf:
+                wrong += 1
+    if wrong > 0:
+        raise ValueError("the state of a robot is not finite")
 
 
 @inner_kernel()

@@ -49,10 +49,11 @@ AnyPolicy = str | Rule | Weigher | Policy | LoggedDecisions
 
 
 class _Prepared(NamedTuple):
-    """A compiled policy, ready for a simulator: its plugs, and what they lie in."""
+    """A compiled policy, ready for a simulator: its plugs, what they lie in, and what to reset."""
 
     plugs: Pointer
-    words: tuple[Pointer, ...]
+    kept: tuple[Pointer, ...]
+    parts: tuple[tuple[Rule | Weigher, Any], ...]
 
 
 class Simulator:
@@ -170,6 +171,9 @@ class Simulator:
         for name, model in self.models.items():
             if self.words[name] is not None:
                 model.reset(self.words[name], keys)
+        for prepared in self._prepared.values():
+            for policy, words in prepared.parts:
+                policy.reset(words, keys)
         self.state.snr[:] = snr_at_unit_fading(self.scenario, keys)
         draw_channels(Pointer(self._plugs), self._constants, self._state, self._slot)
 
@@ -240,7 +244,12 @@ class Simulator:
         if record is not None:
             return int(record.prb_owner.shape[1])
         if isinstance(policy, LoggedDecisions):
-            return int(policy.prb_owner.shape[1]) if policy.prb_owner.ndim == 3 else 0
+            if policy.prb_owner.ndim != 3:
+                raise ValueError(
+                    f"prb_owner: shape {policy.prb_owner.shape}, must be "
+                    f"({self.num_envs}, slots, {self.scenario.radio.num_prb})"
+                )
+            return int(policy.prb_owner.shape[1])
         return self.slots_left
 
     def _set(
@@ -265,9 +274,14 @@ class Simulator:
 
     def _set_weights(self, weights: NDArray[np.float64]) -> None:
         shape = self.state.weight.shape
+        wanted = f"weights: must be positive and finite, shape {shape}"
+        if weights.shape != shape:
+            raise ValueError(f"{wanted}, not {weights.shape}")
         # One comparison for each bound, false for NaN too.
-        if weights.shape != shape or not ((weights > 0.0) & (weights < np.inf)).all():
-            raise ValueError(f"weights: must be positive and finite, shape {shape}")
+        fine = (weights > 0.0) & (weights < np.inf)
+        if not fine.all():
+            env, user = np.argwhere(~fine)[0].tolist()
+            raise ValueError(f"{wanted}; user {user} of world {env} has {weights[env, user]}")
         self.state.weight[:] = weights
 
     def _record(self, num_slots: int, record: SlotRecord | None) -> SlotRecord:
@@ -280,6 +294,11 @@ class Simulator:
                 f"record: {record.prb_owner.shape[:2]} environments and slots, must be "
                 f"{(self.num_envs, num_slots)}"
             )
+        if record.rows.shape[2] != self._layout.words:
+            raise ValueError(
+                f"record: rows of {record.rows.shape[2]} words, must be {self._layout.words} (it "
+                "is of another scenario)"
+            )
         return record
 
     def _owners(self, prb_owner: NDArray[Any], num_slots: int) -> NDArray[np.uint32]:
@@ -289,11 +308,17 @@ class Simulator:
                 f"prb_owner: shape {prb_owner.shape}, must be "
                 f"({self.num_envs}, {num_slots}, {num_prb})"
             )
+        if prb_owner.dtype.kind not in "iu":
+            raise ValueError(f"prb_owner: of type {prb_owner.dtype}, must be integers")
+        wanted = f"prb_owner: every user 0 to {num_users - 1} must own a PRB, and nobody else"
+        wrong = np.argwhere((prb_owner < 0) | (prb_owner >= num_users))
+        if len(wrong):
+            env, slot, prb = wrong[0].tolist()
+            raise ValueError(f"{wanted}; PRB {prb} of world {env} has {prb_owner[env, slot, prb]}")
         held = (prb_owner[..., None] == np.arange(num_users)).any(axis=2)
-        if not held.all() or (prb_owner >= num_users).any():
-            raise ValueError(
-                f"prb_owner: every user 0 to {num_users - 1} must own a PRB, and nobody else"
-            )
+        if not held.all():
+            env, _, user = np.argwhere(~held)[0].tolist()
+            raise ValueError(f"{wanted}; user {user} of world {env} has none")
         return np.ascontiguousarray(prb_owner, dtype=np.uint32)
 
     def _prepare(self, policy: Rule | Weigher | None) -> _Prepared:
@@ -301,20 +326,30 @@ class Simulator:
         if policy not in self._prepared:
             plugs: dict[str, Any] = {}
             kept: list[Pointer] = []
+            parts: list[tuple[Rule | Weigher, Any]] = []
             if policy is not None:
                 rule = self.rule(policy.rule) if isinstance(policy, Weigher) else policy
                 if rule.allocation == "own":
-                    plugs |= {"how": OWN, "allocate": self._plug_policy(ALLOCATE, rule, kept)}
+                    plugs |= {
+                        "how": OWN,
+                        "allocate": self._plug_policy(ALLOCATE, rule, kept, parts),
+                    }
                 else:
                     plugs |= self._allocation(rule.allocation, kept)
-                    plugs["rule"] = self._plug_policy(INDEX, rule, kept)
+                    plugs["rule"] = self._plug_policy(INDEX, rule, kept, parts)
                 if isinstance(policy, Weigher):
-                    plugs["weigh"] = self._plug_policy(WEIGH, policy, kept)
+                    plugs["weigh"] = self._plug_policy(WEIGH, policy, kept, parts)
             pointer = Pointer(self._plugs._replace(**plugs))
-            self._prepared[policy] = _Prepared(pointer, tuple(kept))
+            self._prepared[policy] = _Prepared(pointer, tuple(kept), tuple(parts))
         return self._prepared[policy]
 
-    def _plug_policy(self, seam: Seam, policy: Rule | Weigher, kept: list[Pointer]) -> Plug:
+    def _plug_policy(
+        self,
+        seam: Seam,
+        policy: Rule | Weigher,
+        kept: list[Pointer],
+        parts: list[tuple[Rule | Weigher, Any]],
+    ) -> Plug:
         words = policy.words(self.setup)
         if words is None:
             if seam is ALLOCATE:
@@ -322,6 +357,8 @@ class Simulator:
             return UNUSED
         plug, pointer = seam.plug(words, self._constants, self._state, self._slot)
         kept.append(pointer)
+        parts.append((policy, words))
+        policy.reset(words, self.state.key)
         return plug
 
     def _allocation(self, name: str, kept: list[Pointer]) -> dict[str, Any]:
@@ -429,7 +466,11 @@ class Simulator:
                 self._call(self._prepare(self._base(decision.rule)), self._no_owners, one)
             elif isinstance(decision, Owners):
                 self.state.weight[:] = 1.0
-                owners = self._owners(np.asarray(decision.prb_owner)[:, None], 1)
+                given = np.asarray(decision.prb_owner)
+                shape = self.num_envs, self.scenario.radio.num_prb
+                if given.shape != shape:
+                    raise ValueError(f"prb_owner: shape {given.shape}, must be {shape}")
+                owners = self._owners(given[:, None], 1)
                 self._call(self._prepare(None), owners, one)
             else:
                 raise ValueError(

@@ -52,6 +52,8 @@ class Measured:
 
 def mean(values: NDArray[np.float64]) -> Measured:
     """Measure a mean over seeds, Student's t interval."""
+    if values.ndim == 2 and 1 in values.shape:
+        values = values.ravel()  # a single policy, or world, is no part of the variance
     return Measured(values=values, logarithms=False, interval=mean_interval(values))
 
 

@@ -82,5 +82,6 @@ def measure_interval(name: str, runs: pd.DataFrame, scenario: Scenario) -> Inter
 def smallest_late_share(runs: pd.DataFrame, scenario: Scenario) -> float:
     """Return the least share of late URLLC packets that these runs tell from 0."""
     number = counts(runs)
-    units = min(number["seeds"], number["training_seeds"] or number["seeds"])
+    trained = number["training_seeds"]
+    units = min(number["seeds"], trained) if trained > 1 else number["seeds"]
     return smallest_mean(units, resolution("urllc_late_share", runs, scenario))

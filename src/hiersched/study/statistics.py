@@ -76,6 +76,8 @@ def mean_interval(values: npt.ArrayLike, level: float = LEVEL) -> Interval:
     """
     sample = _sample(values)
     mean = float(sample.mean())
+    if sample.ndim == 2 and max(np.ptp(sample.mean(axis=axis)) for axis in (0, 1)) == 0.0:
+        sample = sample.ravel()  # neither policies nor worlds differ: what does is of the pairs
     if sample.ndim == 2:
         half = _crossed_half_width(sample, level)
     else:
@@ -130,8 +132,9 @@ def skewed_interval(
         return Interval(0.0, 0.0, min(least, most))
     parts = [sample.mean(axis=axis) for axis in (1, 0)] if sample.ndim == 2 else [sample]
     if sample.ndim == 2 and min(map(np.ptp, parts)) <= 1e-12 * mean:
-        # Policies, or worlds, that are all alike are a single one.
-        sample = max(parts, key=np.ptp)
+        # Policies, or worlds, that are all alike are a single one; where both are, pairs are left.
+        spread = max(parts, key=np.ptp)
+        sample = spread if np.ptp(spread) > 1e-12 * mean else sample.ravel()
         parts = [sample]
     if sample.ndim == 2:
         lo, hi = crossed_bounds(sample, level)

@@ -111,7 +111,7 @@ def policy_table(runs: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
     Of a learned policy, over all its policies in all worlds.
 
     `urllc_late_share_smallest` is the least late share that these worlds tell from 0. How the
-    policy stands against the best classical scheduler comes from `standing.standing`.
+    policy stands against the best classical scheduler comes from `comparison`.
     """
     names = measures(scenario)
     table = summarise(runs, ["policy"], names, scenario)
