@@ -395,6 +395,11 @@ MISTAKES = {
             "state.robot_state: must be slot.state, for policies that observe the robots",
         ),
         (
+            "state.robot_state[env, robot, j] = body[j]",
+            "state.robot_state[env, robot, j] = body[j] / (robot - robot)",
+            "the state of a robot is not finite",
+        ),
+        (
             "        forget(words.memory)\n",
             "",
             "gain_delay_steps: `reset` leaves something of the episode before",
