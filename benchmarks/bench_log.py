@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
 import statistics
 import tempfile
 from collections.abc import Callable
@@ -86,7 +87,8 @@ def recorded_fields(slots: int, run_slots: int = 1000) -> dict[str, Any]:
     """All fields of runs of the paper scenario, one behind the other."""
     record = paper_simulator(-(-slots // run_slots), run_slots).run("pf")
     fields = {name: getattr(record, name) for name in record._fields}
-    return {name: v.reshape(-1, *v.shape[2:])[:slots] for name, v in fields.items()}
+    rows = math.prod(record.prb_owner.shape[:2])
+    return {name: v.reshape(rows, *v.shape[2:])[:slots] for name, v in fields.items()}
 
 
 def write_ours(path: Path, fields: dict[str, Any], compression: str) -> None:
