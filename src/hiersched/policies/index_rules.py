@@ -46,11 +46,7 @@ class ProportionalFair(Rule):
     __pydantic_config__ = STRICT
     model: Literal["pf"] = "pf"
     look: ClassVar[Look] = Look("PF", "#D55E00", (0, (4, 1.5)), "s")
-
-    @property
-    def allocation(self) -> str:
-        """As in `Rule`."""
-        return "log"
+    allocation = "log"
 
 
 @RULES.model
@@ -61,11 +57,7 @@ class DriftPlusPenalty(Rule):
     __pydantic_config__ = STRICT
     model: Literal["drift_plus_penalty"] = "drift_plus_penalty"
     look: ClassVar[Look] = Look("drift-plus-penalty", "#CC79A7", (0, (1, 1.2)), "D")
-
-    @property
-    def allocation(self) -> str:
-        """As in `Rule`."""
-        return "lagrangian"
+    allocation = "lagrangian"
 
 
 @RULES.model
@@ -76,11 +68,7 @@ class RoundRobin(Rule):
     __pydantic_config__ = STRICT
     model: Literal["round_robin"] = "round_robin"
     look: ClassVar[Look] = Look("round robin", "#56B4E9", (0, (2, 2)), "P")
-
-    @property
-    def allocation(self) -> str:
-        """As in `Rule`."""
-        return "in_turn"
+    allocation = "in_turn"
 
 
 @RULES.model
@@ -307,11 +295,7 @@ class EarliestDeadlineFirst(Rule):
     __pydantic_config__ = STRICT
     model: Literal["edf"] = "edf"
     look: ClassVar[Look] = Look("EDF", "#117733", (0, (7, 1, 2, 1)), "h")
-
-    @property
-    def allocation(self) -> str:
-        """As in `Rule`."""
-        return "by_urgency"
+    allocation = "by_urgency"
 
     def words(self, setup: Setup) -> DeadlineWords:
         """As in `Model`."""

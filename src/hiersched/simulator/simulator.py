@@ -311,9 +311,9 @@ class Simulator:
         if prb_owner.dtype.kind not in "iu":
             raise ValueError(f"prb_owner: of type {prb_owner.dtype}, must be integers")
         wanted = f"prb_owner: every user 0 to {num_users - 1} must own a PRB, and nobody else"
-        wrong = np.argwhere((prb_owner < 0) | (prb_owner >= num_users))
-        if len(wrong):
-            env, slot, prb = wrong[0].tolist()
+        wrong = (prb_owner < 0) | (prb_owner >= num_users)
+        if wrong.any():
+            env, slot, prb = np.argwhere(wrong)[0].tolist()
             raise ValueError(f"{wanted}; PRB {prb} of world {env} has {prb_owner[env, slot, prb]}")
         held = (prb_owner[..., None] == np.arange(num_users)).any(axis=2)
         if not held.all():
