@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import pandas as pd
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def write_bytes(path: Path, data: bytes) -> Path:
@@ -24,3 +26,9 @@ def csv_text(table: pd.DataFrame) -> str:
     """Return a table as CSV: numbers read back to the same bits, an empty cell is no number."""
     text: str = table.to_csv(index=False, lineterminator="\n")
     return text
+
+
+def write_parquet(path: Path, table: pd.DataFrame) -> Path:
+    """Write a table as Parquet, in full or not at all; return its path."""
+    data: bytes = table.to_parquet(index=False)
+    return write_bytes(path, data)

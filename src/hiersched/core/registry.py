@@ -42,23 +42,27 @@ class Registry(Generic[T]):
     ----------
     kind
         What they are, for messages, such as ``"path loss"``.
+    part
+        ``"study"`` for what shows results: no run depends on it.
     """
 
-    def __init__(self, kind: str) -> None:
-        self.kind = kind
+    def __init__(self, kind: str, part: str = "") -> None:
+        self.kind, self.part = kind, part
         self._found: dict[str, T | str] = {}
         self._origins: dict[str, str] = {}
         _REGISTRIES.add(self)
 
-    def add(self, name: str, thing: T | str) -> None:
+    def add(self, name: str, thing: T | str, source: Any = None) -> None:
         """Register a thing, or where to import it from when it is first asked for (``a.b:c``).
+
+        What it was made of, if that is something else, is its `source`.
 
         Raises
         ------
         PluginError
             If the name is taken by something else.
         """
-        origin = _origin(thing)
+        origin = _origin(thing if source is None else source)
         old = self._origins.get(name, origin)
         if old != origin:
             raise PluginError(f"{self.kind} {name!r}: the name is taken by {old}")
@@ -111,11 +115,23 @@ class Registry(Generic[T]):
         load_installed_plugins()
         return iter(tuple(self._found))
 
+    def origin(self, name: str) -> str:
+        """Return the file that registered a thing."""
+        return self._origins[name].rpartition(":")[0]
+
     def forget(self, file: str) -> None:
         """Remove what a file has registered, before it is run once more."""
         for name, origin in list(self._origins.items()):
             if origin.startswith(f"{file}:"):
                 del self._found[name], self._origins[name]
+
+
+def registered_files(part: str) -> set[str]:
+    """Return the files that have registered something in a part of the registries."""
+    return {
+        registry.origin(name) for registry in _REGISTRIES if registry.part == part
+        for name in registry
+    }
 
 
 def _origin(thing: Any) -> str:

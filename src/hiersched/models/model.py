@@ -158,16 +158,24 @@ class Arrivals(Model):
 
     @staticmethod
     def offered_mbps(scenario: Scenario) -> NDArray[np.float64]:
-        """Return the offered load of every user, `load` included, shape (U,) [Mbit/s]."""
+        """Return the offered load of every user, shape (U,) [Mbit/s].
+
+        `load` multiplies all of them; `load_ratio` changes the ratio of the mean loads of eMBB and
+        URLLC users, not the sum of both means, nor the spread within a slice.
+        """
         traffic, users = scenario.traffic, scenario.users
-        of_slices = (
+        urllc, embb = (
             np.broadcast_to(np.asarray(value, np.float64), (count,))
             for value, count in (
                 (traffic.urllc_offered_mbps, users.num_urllc),
                 (traffic.embb_offered_mbps, users.num_embb),
             )
         )
-        return traffic.load * np.concatenate(list(of_slices))
+        if (ratio := traffic.load_ratio) is not None:
+            of_urllc, of_embb = np.mean(urllc), np.mean(embb)
+            total = (of_urllc + of_embb) / (1.0 + ratio)
+            urllc, embb = urllc * float(total / of_urllc), embb * float(ratio * total / of_embb)
+        return traffic.load * np.concatenate([urllc, embb])
 
     def packets_at_once(self) -> float:
         """Return how many packets come together: shares of late ones differ by this many."""

@@ -9,6 +9,7 @@ from hiersched.scenario.load import (
     scenario_sha256,
     scenario_to_dict,
     scenario_to_yaml,
+    with_values,
 )
 from hiersched.scenario.notes import ParameterNote, parameter_notes, scenario_notes
 from hiersched.scenario.schema import Scenario, delay_steps
@@ -26,4 +27,5 @@ __all__ = [
     "scenario_sha256",
     "scenario_to_dict",
     "scenario_to_yaml",
+    "with_values",
 ]

@@ -29,6 +29,12 @@ LEAST_SNR_DB = -80.0
 """Below it, a PRB in a deep fade could carry exactly 0 bit/s, and no logarithm of a rate exists."""
 GREATEST_SNR_DB = 300.0
 MAX_DELAY_STEPS = 200
+SWEPT_SECTIONS = (
+    *("users", "radio", "traffic", "objective", "schedulers"),
+    *("robot", "plant", "control", "policies"),
+)
+"""Sections of which a sweep can vary the keys: those that the slot loop reads."""
+RESERVED_AXES = ("evaluate", "generalise", "gain_study", "cell", "train")
 NETWORK_METHODS = ("predictor", "latency_compensated", "h2")
 """Gain methods for plants whose whole feedback crosses the network."""
 
@@ -72,10 +78,9 @@ def _link_budget(scenario: Scenario) -> list[str]:
     radio = scenario.radio
     own = getattr(radio.fading, "scale", None)
     # A fading without a scale is taken to have the mean power 1.
-    scales = (1.0,) if own is None else (own, *scenario.sweeps.rayleigh_scale)
-    best_db = radio.tx_power_dbm - radio.noise_dbm + 20.0 * math.log10(max(scales))
-    least_db = radio.tx_power_dbm - radio.noise_dbm + 20.0 * math.log10(min(scales))
-    least_db += radio.path_loss.least_gain_db()
+    scale_db = 20.0 * math.log10(1.0 if own is None else own)
+    best_db = radio.tx_power_dbm - radio.noise_dbm + scale_db
+    least_db = best_db + radio.path_loss.least_gain_db()
     if least_db >= LEAST_SNR_DB and best_db <= GREATEST_SNR_DB:
         return []
     return [
@@ -98,7 +103,6 @@ def _times(scenario: Scenario) -> list[str]:
         for key, value in (
             ("radio.slot_s", scenario.radio.slot_s),
             ("control.sampling_s", scenario.control.sampling_s),
-            *(("sweeps.sampling_s", value) for value in scenario.sweeps.sampling_s),
         )
         if not _is_multiple(value, substep)
     ]
@@ -112,14 +116,10 @@ def _times(scenario: Scenario) -> list[str]:
             f"robot.window_s = {scenario.robot.window_s}: must be a multiple of "
             f"control.sampling_s = {scenario.control.sampling_s}"
         )
-    longest = max(
-        delay_steps(scenario.control.max_delay_s, sampling_s)
-        for sampling_s in (scenario.control.sampling_s, *scenario.sweeps.sampling_s)
-    )
-    if longest > MAX_DELAY_STEPS:
+    if (longest := scenario.max_delay_steps) > MAX_DELAY_STEPS:
         faults.append(
-            f"control.max_delay_s = {scenario.control.max_delay_s}: {longest} samples at the "
-            f"shortest sampling interval, at most {MAX_DELAY_STEPS} (one gain is designed for each)"
+            f"control.max_delay_s = {scenario.control.max_delay_s}: {longest} samples of "
+            f"control.sampling_s, at most {MAX_DELAY_STEPS} (one gain is designed for each)"
         )
     return faults
 
@@ -151,12 +151,6 @@ def _models(scenario: Scenario) -> list[str]:
     faults = []
     for key in SECTIONS:
         faults += _asked(key, model_at(scenario, key).faults, scenario)
-    swept = scenario.sweeps.rayleigh_scale
-    if swept and not hasattr(scenario.radio.fading, "scale"):
-        faults.append(
-            f"sweeps.rayleigh_scale = {list(swept)}: must be [] with radio.fading.model = "
-            f"{scenario.radio.fading.model!r}, which has no key scale"
-        )
     return faults
 
 
@@ -292,20 +286,7 @@ def _studies(scenario: Scenario) -> list[str]:
     for key, seeds in held_out.items():
         if len(set(seeds)) != len(seeds):
             faults.append(f"{key} = {list(seeds)}: every seed once")
-    sweeps = scenario.sweeps
-    axes = {
-        "rayleigh_scale": sweeps.rayleigh_scale,
-        "sampling_s": sweeps.sampling_s,
-        "reference": sweeps.reference,
-        "load": sweeps.load,
-        "load_ratio": sweeps.load_ratio,
-        "service_coefficient_mbps": sweeps.service_coefficient_mbps,
-    }
-    faults.extend(
-        f"sweeps.{axis} = {list(points)}: every value once"
-        for axis, points in axes.items()
-        if len(set(points)) != len(points)
-    )
+    faults.extend(_axes(scenario))
     study = scenario.gain_study
     faults.extend(
         f"gain_study.violation_windows = {window}: at most "
@@ -335,6 +316,26 @@ def _studies(scenario: Scenario) -> list[str]:
             faults.append(f"{name}.policies = {list(section.policies)}: every policy once")
         faults.extend(_policies(scenario, f"{name}.policies", section.policies))
     return faults + _full_logs(scenario)
+
+
+def _axes(scenario: Scenario) -> list[str]:
+    """List axes whose names or policies cannot be; whether their points can, `points` says."""
+    faults = []
+    for name, axis in scenario.sweeps.axes.items():
+        place = f"sweeps.axes.{name}"
+        if name in RESERVED_AXES:
+            faults.append(f"{place}: must be another name: a part of the study is called so")
+        for key, values in axis.vary.items():
+            if any(value in values[:number] for number, value in enumerate(values)):
+                faults.append(f"{place}.vary.{key} = {list(values)}: every value once")
+            if key.partition(".")[0] not in SWEPT_SECTIONS:
+                faults.append(
+                    f"{place}.vary.{key}: must be a key of {', '.join(SWEPT_SECTIONS)} (what "
+                    "learners differ in stands under `learners`)"
+                )
+        if isinstance(axis.policies, tuple):
+            faults.extend(_policies(scenario, f"{place}.policies", axis.policies))
+    return faults
 
 
 def _full_logs(scenario: Scenario) -> list[str]:
@@ -384,6 +385,7 @@ def _gain_sweeps(scenario: Scenario) -> list[str]:
             ("methods", study.methods),
             ("weight", study.weight),
             ("fixed_delay_s", study.fixed_delay_s),
+            ("sampling_s", study.sampling_s),
         )
         if len(set(points)) != len(points)
     ]

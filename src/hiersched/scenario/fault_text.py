@@ -25,8 +25,7 @@ class ScenarioError(ValueError):
 def describe(
     error: ValidationError,
     merged: Mapping[str, Any],
-    overlay: Mapping[str, Any],
-    names: tuple[Path, Path],
+    sources: Sequence[tuple[Path, Mapping[str, Any]]],
 ) -> str:
     """Return a line for every fault.
 
@@ -34,10 +33,10 @@ def describe(
     ----------
     error
         What validation found.
-    merged, overlay
-        The scenario on its defaults, and what its own file holds.
-    names
-        The scenario's file, and that of the defaults.
+    merged
+        The scenario on its defaults.
+    sources
+        Its files and what each holds: its own, those that it extends, and last the defaults.
     """
     lines = []
     for item in error.errors():
@@ -46,8 +45,9 @@ def describe(
         location = item["loc"]
         while location and not _holds(merged, location) and item["type"] != "missing":
             location = location[:-1]
-        path, defaults = names
-        source = path if _holds(overlay, location) or item["type"] == "missing" else defaults
+        holders = [file for file, data in sources if _holds(data, location)]
+        missing = item["type"] == "missing"
+        source = sources[0][0] if missing else [*holders, sources[-1][0]][0]
         lines.append(f"{source}: {_fault(item, location, merged)}")
     return "\n".join(dict.fromkeys(lines))
 

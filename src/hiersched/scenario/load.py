@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
@@ -63,14 +63,19 @@ def _parse_yaml(text: str, path: Path) -> dict[str, Any]:
 
 
 def _merge(base: Mapping[str, Any], overlay: Mapping[str, Any]) -> dict[str, Any]:
-    """Put what an overlay names over a mapping; where it names another `model`, nothing stays."""
+    """Put what an overlay names over a mapping.
+
+    Where it names another `model`, nothing stays; nor does what an axis of a sweep varied.
+    """
     if "model" in base and overlay.get("model", base["model"]) != base["model"]:
         return dict(overlay)
     merged = dict(base)
     for key, value in overlay.items():
         old = merged.get(key)
         merged[key] = (
-            _merge(old, value) if isinstance(old, dict) and isinstance(value, dict) else value
+            _merge(old, value)
+            if isinstance(old, dict) and isinstance(value, dict) and key != "vary"
+            else value
         )
     return merged
 
@@ -111,7 +116,28 @@ def _find_defaults(scenario: Path) -> Path:
     return found
 
 
-def _with_points(merged: dict[str, Any], path: Path) -> dict[str, Any]:
+def _read_overlays(path: Path) -> list[tuple[Path, dict[str, Any]]]:
+    """Read a scenario and those that it extends, one after the other: itself first."""
+    overlays: list[tuple[Path, dict[str, Any]]] = []
+    while True:
+        overlay = _read_yaml(path)
+        base = overlay.pop("extends", None)
+        overlays.append((path, overlay))
+        if base is None:
+            return overlays
+        if not isinstance(base, str):
+            raise ScenarioError(f"{path}: extends = {base!r}: must be the name or path of one")
+        beside = path.parent / base
+        try:
+            found = find_scenario(beside if beside.is_file() else base)
+        except ScenarioError as error:
+            raise ScenarioError(f"{path}: extends = {base!r}: {error}") from error
+        if any(found.resolve() == file.resolve() for file, _ in overlays):
+            raise ScenarioError(f"{path}: extends = {base!r}: which extends this file in turn")
+        path = found
+
+
+def _with_points(merged: dict[str, Any], sources: _Sources) -> dict[str, Any]:
     """Put the rows of the reference file into the scenario, unless it holds them already."""
     robot, sweeps = merged.get("robot"), merged.get("sweeps")
     if not isinstance(robot, dict) or not isinstance(sweeps, dict):
@@ -119,17 +145,42 @@ def _with_points(merged: dict[str, Any], path: Path) -> dict[str, Any]:
     name = robot.get("reference_file")
     if not isinstance(name, str) or robot.get("reference_points") is not None:
         return merged
-    swept = sweeps.get("reference")
-    if robot.get("reference") != "file" and not (isinstance(swept, list) and "file" in swept):
+    path = next(
+        file for file, data in sources if "reference_file" in (data.get("robot") or {})
+    )  # the one that names it
+    axes = sweeps.get("axes")
+    swept = [
+        axis["vary"].get("robot.reference")
+        for axis in (axes.values() if isinstance(axes, dict) else ())
+        if isinstance(axis, dict) and isinstance(axis.get("vary"), dict)
+    ]
+    if robot.get("reference") != "file" and not any("file" in (values or ()) for values in swept):
         raise ScenarioError(
             f"{path}: robot.reference_file = {name!r}: needs robot.reference: file (or file among "
-            "sweeps.reference)"
+            "the values of a sweep)"
         )
     try:
         points = read_reference(path.parent / name)
     except ReferenceFileError as error:
         raise ScenarioError(f"{path}: robot.reference_file: {error}") from error
     return {**merged, "robot": {**robot, "reference_points": [list(point) for point in points]}}
+
+
+def _with_axes(merged: dict[str, Any]) -> dict[str, Any]:
+    """Write axes in full: a list under a key varies that key, and null takes an axis away."""
+    sweeps = merged.get("sweeps")
+    if not isinstance(sweeps, dict) or not isinstance(sweeps.get("axes"), dict):
+        return merged  # validation says what is wrong
+    axes = {
+        name: {"vary": {name: axis}, "policies": None}
+        if isinstance(axis, list)
+        else {"policies": None, **axis}
+        if isinstance(axis, dict)
+        else axis
+        for name, axis in sweeps["axes"].items()
+        if axis is not None
+    }
+    return {**merged, "sweeps": {**sweeps, "axes": axes}}
 
 
 def _with_learners(merged: dict[str, Any]) -> dict[str, Any]:
@@ -175,37 +226,76 @@ def load_scenario(name_or_path: str | Path, *, defaults: Path | None = None) -> 
     """
     path = find_scenario(name_or_path)
     defaults = defaults if defaults is not None else _find_defaults(path)
-    overlay = _read_yaml(path)
-    merged = _with_learners(_with_points(_merge(_read_yaml(defaults), overlay), path))
-    merged.setdefault("name", path.stem)
-    return _validate(_with_hold(merged), overlay, path, defaults)
+    overlays = _read_overlays(path)
+    merged = _read_yaml(defaults)
+    for _, overlay in reversed(overlays):
+        merged = _merge(merged, overlay)
+    sources = [*overlays, (defaults, {})]
+    merged = _with_learners(_with_points(_with_axes(merged), sources))
+    if "name" not in overlays[0][1]:  # that of a scenario which it extends is not its own
+        merged["name"] = path.stem
+    return _validate(_with_hold(merged), sources)
 
 
-def _validate(
-    merged: Mapping[str, Any], overlay: Mapping[str, Any], path: Path, defaults: Path
-) -> Scenario:
+def with_values(scenario: Scenario, values: Mapping[str, Any], what: str) -> Scenario:
+    """Return a scenario with other values at dotted keys.
+
+    Parameters
+    ----------
+    values
+        Dotted key -> value, as it would stand in YAML.
+    what
+        Names them in errors.
+
+    Raises
+    ------
+    ScenarioError
+        If there is no such key, or the values do not fit it or the rest of the scenario.
+    """
+    data = scenario_to_dict(scenario)
+    for key, value in values.items():
+        *parents, name = key.split(".")
+        inner = data
+        for part in parents:
+            inner = inner.get(part) if isinstance(inner, dict) else None
+        if not isinstance(inner, dict) or name not in inner:
+            raise ScenarioError(f"scenario {scenario.name}: {what}: {key}: no key of the scenario")
+        inner[name] = value
+    try:
+        return _validate(data, [(Path(f"scenario {scenario.name}: {what}"), data)])
+    except ScenarioError as error:
+        raise ScenarioError(str(error)) from None
+
+
+_Sources = Sequence[tuple[Path, Mapping[str, Any]]]
+"""Files of a scenario, the one that stands over the others first, and what each holds."""
+
+
+def _validate(merged: Mapping[str, Any], sources: _Sources) -> Scenario:
+    path = sources[0][0]
     try:
         text = json.dumps(merged)
     except (TypeError, ValueError) as error:
         raise ScenarioError(
             f"{path}: a value is neither number, text, list nor mapping: {error}"
         ) from error
-    _load_plugins(merged.get("plugins"), path)
+    _load_plugins(merged.get("plugins"), [file for file, _ in sources])
     try:
         scenario = TypeAdapter(Scenario).validate_json(text, strict=True)
     except ValidationError as error:
-        raise ScenarioError(describe(error, merged, overlay, (path, defaults))) from error
+        raise ScenarioError(describe(error, merged, sources)) from error
     faults = inconsistencies(scenario)
     if faults:
         raise ScenarioError("\n".join(f"{path}: {fault}" for fault in faults))
     return scenario
 
 
-def _load_plugins(names: Any, path: Path) -> None:
+def _load_plugins(names: Any, files: Sequence[Path]) -> None:
     """Import plug-ins, before validation asks what there is."""
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         names = []  # validation says what is wrong
-    faults = load_plugins(names, path)
+    path = files[0]
+    faults = load_plugins(names, files)
     if faults:
         raise ScenarioError("\n".join(f"{path}: {fault}" for fault in faults))
 
@@ -236,10 +326,10 @@ def load_resolved(text: str, origin: Path) -> tuple[Scenario, tuple[str, ...], s
     data = converted(written)
     missing = _missing_keys(data)
     if not missing:
-        return _validate(data, data, origin, origin), (), sha256
+        return _validate(data, [(origin, data)]), (), sha256
     defaults = _find_defaults(origin)
-    merged = _with_hold(_with_learners(_merge(_read_yaml(defaults), data)))
-    return _validate(merged, data, origin, defaults), tuple(missing), sha256
+    merged = _with_hold(_with_learners(_with_axes(_merge(_read_yaml(defaults), data))))
+    return _validate(merged, [(origin, data), (defaults, {})]), tuple(missing), sha256
 
 
 def _missing_keys(data: Mapping[str, Any]) -> list[str]:

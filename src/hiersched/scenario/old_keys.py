@@ -27,6 +27,16 @@ OLD_KEYS = {
 }
 """Old key -> new key."""
 
+AXES = {
+    "rayleigh_scale": "radio.fading.scale",
+    "sampling_s": "control.sampling_s",
+    "reference": "robot.reference",
+    "load": "traffic.load",
+    "load_ratio": "traffic.load_ratio",
+    "service_coefficient_mbps": "traffic.service_coefficient_mbps",
+}
+"""Axis that `sweeps` had a key for -> what it varies."""
+
 MODELS = {"radio.fading": "rayleigh", "traffic.arrivals": "poisson"}
 """Section -> the one model there was."""
 
@@ -37,6 +47,9 @@ def new_key(key: str, value: Any) -> str | None:
         return "the keys of linear_plant are those of plant now, with plant.model: linear"
     if key == "control.plant" and value == "linear":
         return "is plant.model: linear now"
+    section, _, axis = key.partition(".")
+    if section == "sweeps" and axis in AXES:
+        return f"is sweeps.axes.{axis}.vary now: {{{AXES[axis]}: [...]}}"
     return f"is {OLD_KEYS[key]} now" if key in OLD_KEYS else None
 
 
@@ -64,6 +77,14 @@ def converted(written: Mapping[str, Any]) -> dict[str, Any]:
     for section, model in MODELS.items():
         if isinstance(_at(data, section), dict):
             _at(data, section).setdefault("model", model)
+    sweeps = data.get("sweeps")
+    if isinstance(sweeps, dict) and "axes" not in sweeps:
+        axes = {name: sweeps.pop(name) for name in AXES if name in sweeps}
+        sweeps["axes"] = {
+            name: {"vary": {AXES[name]: values}, "policies": None}
+            for name, values in axes.items()
+            if values
+        }
     if plant is not _ABSENT:
         _put(data, "control.loop", "network" if plant == "linear" else plant)
         _put(data, "plant.model", "linear" if plant == "linear" else "unicycle")

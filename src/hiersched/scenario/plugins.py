@@ -13,10 +13,10 @@ from hiersched.scenario.schema import Scenario
 CONFIG = Path("config")
 
 
-def load_plugins(names: Sequence[str], scenario_file: Path) -> list[str]:
+def load_plugins(names: Sequence[str], files: Sequence[Path]) -> list[str]:
     """Import what installed packages add, and the files that a scenario names.
 
-    A file is looked for beside the scenario's file. A resolved scenario lies elsewhere, in the
+    A file is looked for beside the scenario's files, the first one's before the others'. A resolved scenario lies elsewhere, in the
     results or in a log: for it the working directory and ``config/scenarios`` are searched as well.
 
     Returns
@@ -29,7 +29,8 @@ def load_plugins(names: Sequence[str], scenario_file: Path) -> list[str]:
         load_installed_plugins()
     except PluginError as error:
         faults.append(str(error))
-    folders = tuple(dict.fromkeys((scenario_file.parent, Path(), CONFIG / "scenarios")))
+    beside = [file.parent for file in files]
+    folders = tuple(dict.fromkeys((*beside, Path(), CONFIG / "scenarios")))
     for place, name in enumerate(names):
         found = next((folder / name for folder in folders if (folder / name).is_file()), None)
         try:

@@ -110,12 +110,12 @@ def reference_faults(scenario: Scenario) -> list[str]:
 
 def _longest_run(scenario: Scenario) -> dict[str, float]:
     """Durations of the runs whose robots follow the file, by the key that decides."""
-    sweeps, evaluate = scenario.sweeps, scenario.evaluate
-    in_sweep = {"sweeps.warmup_s + sweeps.duration_s": sweeps.warmup_s + sweeps.duration_s}
     if scenario.robot.reference != "file":
-        return in_sweep if "file" in scenario.sweeps.reference else {}
+        return {}
+    sweeps, evaluate = scenario.sweeps, scenario.evaluate
     window_s = scenario.robot.window_s
-    return in_sweep | {
+    return {
+        "sweeps.warmup_s + sweeps.duration_s": sweeps.warmup_s + sweeps.duration_s,
         "evaluate.warmup_s + evaluate.duration_s": evaluate.warmup_s + evaluate.duration_s,
         "learning.slots_per_episode": scenario.learning.slots_per_episode * scenario.radio.slot_s,
         "gain_study.num_windows": scenario.gain_study.num_windows * window_s,

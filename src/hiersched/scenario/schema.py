@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from operator import attrgetter
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -40,6 +40,7 @@ GainMethod = Literal["krasovskii", "razumikhin", "predictor", "latency_compensat
 Reference = Literal["straight", "arc", "figure_eight", "zigzag", "file"]
 Need = Literal["none", "backlog", "backlog_and_arrivals"]
 LearnerName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
+AxisName = Annotated[str, Field(pattern=r"^[a-z][A-Za-z0-9_.]*$")]
 PolicyName = LearnerName
 """A scheduler, a learner or one of `policies`; `consistency` knows which there are."""
 
@@ -76,6 +77,7 @@ class Traffic:
     __pydantic_config__ = STRICT
     packet_bits: Positive
     load: Positive
+    load_ratio: Positive | None
     urllc_offered_mbps: Positive | Annotated[tuple[Positive, ...], NonEmpty]
     embb_offered_mbps: Positive | Annotated[tuple[Positive, ...], NonEmpty]
     service_coefficient_mbps: NonNegative
@@ -220,16 +222,22 @@ class Evaluation(Worlds):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Axis:
+    """What a sweep varies: every combination of the values of its keys."""
+
+    __pydantic_config__ = STRICT
+    vary: Annotated[Mapping[str, Annotated[tuple[Any, ...], NonEmpty]], NonEmpty] = field(
+        hash=False
+    )
+    policies: Literal["all", "own"] | tuple[PolicyName, ...] | None
+
+
+@dataclass(frozen=True, kw_only=True)
 class Sweeps(Worlds):
     """One axis varied at a time."""
 
     __pydantic_config__ = STRICT
-    rayleigh_scale: tuple[Positive, ...]
-    sampling_s: Annotated[tuple[Positive, ...], NonEmpty]
-    reference: Annotated[tuple[Reference, ...], NonEmpty]
-    load: Annotated[tuple[Positive, ...], NonEmpty]
-    load_ratio: Annotated[tuple[Positive, ...], NonEmpty]
-    service_coefficient_mbps: Annotated[tuple[NonNegative, ...], NonEmpty]
+    axes: Mapping[AxisName, Axis] = field(hash=False)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -237,7 +245,7 @@ class Bound:
     """Slots of the evaluation whose exact optimum is computed."""
 
     __pydantic_config__ = STRICT
-    slots_per_log: Count
+    slots_per_log: Annotated[int, Field(ge=0)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -245,7 +253,7 @@ class Generalise(Worlds):
     """Cells of other sizes, in which trained policies run as they are."""
 
     __pydantic_config__ = STRICT
-    cells: Annotated[tuple[tuple[Count, Count, Count], ...], NonEmpty]
+    cells: tuple[tuple[Count, Count, Count], ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -259,13 +267,14 @@ class GainStudy:
     violation_windows: Annotated[tuple[Count, ...], NonEmpty]
     violation_delay_s: tuple[Positive, Positive]
     calm_delay_s: tuple[Positive, Positive]
-    methods: Annotated[tuple[GainMethod, ...], NonEmpty]
+    methods: tuple[GainMethod, ...]
     sweep_robots: Count
     sweep_windows: Annotated[int, Field(ge=2)]
-    weight: Annotated[tuple[Positive, ...], NonEmpty]
-    fixed_delay_s: Annotated[tuple[Positive, ...], NonEmpty]
-    noise_position_m: Annotated[tuple[NonNegative, ...], NonEmpty]
-    noise_heading_rad: Annotated[tuple[NonNegative, ...], NonEmpty]
+    weight: tuple[Positive, ...]
+    fixed_delay_s: tuple[Positive, ...]
+    sampling_s: tuple[Positive, ...]
+    noise_position_m: tuple[NonNegative, ...]
+    noise_heading_rad: tuple[NonNegative, ...]
 
 
 @dataclass(frozen=True, kw_only=True)

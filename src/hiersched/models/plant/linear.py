@@ -195,12 +195,16 @@ class Linear(Plant):
                 f"control.sampling_s = {sampling_s}: must be a multiple of radio.slot_s = {slot_s} "
                 "with plant.model = 'linear'"
             )
-        if scenario.sweeps.sampling_s != (sampling_s,):
-            faults.append(
-                f"sweeps.sampling_s = {list(scenario.sweeps.sampling_s)}: must be [{sampling_s}] "
-                "with plant.model = 'linear', whose matrices hold for control.sampling_s alone"
-            )
-        return faults
+        swept = {"gain_study.sampling_s": scenario.gain_study.sampling_s} | {
+            f"sweeps.axes.{name}.vary.control.sampling_s": axis.vary.get("control.sampling_s", ())
+            for name, axis in scenario.sweeps.axes.items()
+        }
+        return faults + [
+            f"{key} = {list(values)}: must be [{sampling_s}] or none with plant.model = 'linear', "
+            "whose matrices hold for control.sampling_s alone"
+            for key, values in swept.items()
+            if set(values) - {sampling_s}
+        ]
 
     def words(self, setup: Setup) -> LinearWords:
         """As in `Model`."""

@@ -108,22 +108,19 @@ class Poisson(Arrivals):
 
     def faults(self, scenario: Scenario) -> list[str]:
         """Say where mean batches a slot are beyond what the Poisson quantile can sum."""
-        loads = {"traffic.load": (scenario.traffic.load,), "sweeps.load": scenario.sweeps.load}
-        return [
-            f"{key} = {load}: up to {batches:.6g} batches a slot and user on average, must stay "
-            f"within {MAX_MEAN:g} (lower the load or the offered rates, or raise "
-            "traffic.packet_bits or traffic.arrivals.batch_packets)"
-            for key, values in loads.items()
-            for load in values
-            if (batches := self._most_batches(scenario, load)) > MAX_MEAN
-        ]
-
-    def _most_batches(self, scenario: Scenario, load: float) -> float:
         slot_s, traffic = scenario.radio.slot_s, scenario.traffic
-        urllc = load * np.max(traffic.urllc_offered_mbps) * slot_s
-        urllc += self.rate_sensitivity * self.reference_rate_mbps * self.interval_s(scenario)
-        most = max(urllc, load * np.max(traffic.embb_offered_mbps) * slot_s)
-        return float(most * (1e6 / (traffic.packet_bits * self.batch_packets)))
+        most_mbit = self.offered_mbps(scenario) * slot_s
+        most_mbit[: scenario.users.num_urllc] += (
+            self.rate_sensitivity * self.reference_rate_mbps * self.interval_s(scenario)
+        )
+        batches = most_mbit.max() * (1e6 / (traffic.packet_bits * self.batch_packets))
+        if batches <= MAX_MEAN:
+            return []
+        return [
+            f"traffic.load = {traffic.load}: up to {batches:.6g} batches a slot and user on "
+            f"average, must stay within {MAX_MEAN:g} (lower the load or the offered rates, or "
+            "raise traffic.packet_bits or traffic.arrivals.batch_packets)"
+        ]
 
     def words(self, setup: Setup) -> PoissonWords:
         """As in `Model`.

@@ -22,10 +22,9 @@ from hiersched.control import (
     input_memory_radii,
     spectral_radius_by_delay,
 )
-from hiersched.runs import paths
-from hiersched.runs.gain_points import gain_points
-from hiersched.runs.gains import load_gains
-from hiersched.runs.variants import design_of, weighted_scenario
+from hiersched.experiments import files
+from hiersched.experiments.gains import design_of, load_gains
+from hiersched.experiments.points import experiments
 from hiersched.scenario import Scenario
 from hiersched.scenario.schema import delay_steps
 from hiersched.simulator.loop_gains import plant_of
@@ -109,7 +108,7 @@ def write_stability(scenario: Scenario, results: Path) -> Path:
         longest that was looked at), delay_steps (null: not even 0).
     """
     rows = [*_weight_rows(scenario, results), *_sampling_rows(scenario)]
-    path = results / paths.STABILITY
+    path = results / files.STABILITY
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f"{path.name}.part")
     part.write_text(json.dumps(rows, sort_keys=True, indent=1) + "\n", encoding="utf-8")
@@ -121,13 +120,13 @@ def _weight_rows(scenario: Scenario, results: Path) -> list[dict[str, Any]]:
     rows = []
     loops = PLANTS if scenario.plant.chooses_loop else (scenario.control.loop,)
     for weight in scenario.gain_study.weight:
-        own = weighted_scenario(scenario, weight)
+        own = replace(scenario, control=replace(scenario.control, weight=weight))
         cap = own.max_delay_steps
         for loop in loops:
             variant = replace(own, control=replace(own.control, loop=loop))
             for criterion, longest in certified_delays(plant_of(variant), cap).items():
                 rows.append(_row("weight", weight, variant, criterion, longest))
-        schedule, _ = load_gains(results / paths.gain_file(design_of(scenario, own)), own)
+        schedule, _ = load_gains(results / files.gain_file(design_of(scenario, own)), own)
         longest_s = max(scenario.gain_study.fixed_delay_s)
         steps = min(delay_steps(longest_s, own.control.sampling_s), cap)
         longest = adjusted_delay(plant_of(own), schedule, steps)
@@ -138,7 +137,8 @@ def _weight_rows(scenario: Scenario, results: Path) -> list[dict[str, Any]]:
 
 def _sampling_rows(scenario: Scenario) -> list[dict[str, Any]]:
     rows = []
-    for point in gain_points(scenario, "sampling_s"):
+    swept = experiments(scenario).get("gain_sampling_s")
+    for point in () if swept is None else swept.points:
         plant = plant_of(point.scenario)
         loop = plant.closed_loop(plant.nominal_gain)
         longest = last_stable(spectral_radius_by_delay(*loop, point.scenario.max_delay_steps))

@@ -18,7 +18,9 @@ KERNEL_MODULE = PACKAGE_FOLDER / "simulator" / "simulator.py"
 
 
 @cache
-def code_fingerprint(script: Path, package_folder: Path = PACKAGE_FOLDER) -> str:
+def code_fingerprint(
+    script: Path, package_folder: Path = PACKAGE_FOLDER, *, only: str = ""
+) -> str:
     """SHA-256 of the code that a script can reach.
 
     Parameters
@@ -27,6 +29,9 @@ def code_fingerprint(script: Path, package_folder: Path = PACKAGE_FOLDER) -> str
         A Python file.
     package_folder
         Folder of the package `hiersched`.
+    only
+        Name of a registered function of the file, which stands for it: others that are registered
+        there (``@figure``, ``@table``, ``@claim``) do not count.
 
     Returns
     -------
@@ -34,7 +39,7 @@ def code_fingerprint(script: Path, package_folder: Path = PACKAGE_FOLDER) -> str
         64 hexadecimal digits.
     """
     modules = reachable_modules(script, package_folder)
-    digest = hashlib.sha256(_statements(script).encode())
+    digest = hashlib.sha256(_statements(script, only).encode())
     for name, path in modules.items():
         digest.update(f"\0{name}\0{_statements(path)}".encode())
     for path in _data_files(modules):
@@ -103,10 +108,23 @@ def _data_files(modules: dict[str, Path]) -> list[Path]:
     )
 
 
+_REGISTERED = ("figure", "table", "claim")
+
+
+def _is_other(node: ast.stmt, only: str) -> bool:
+    """Whether a statement is a registered function other than one."""
+    if not isinstance(node, ast.FunctionDef) or node.name == only:
+        return False
+    called = (d.func for d in node.decorator_list if isinstance(d, ast.Call))
+    return any(isinstance(name, ast.Name) and name.id in _REGISTERED for name in called)
+
+
 @cache
-def _statements(path: Path) -> str:
+def _statements(path: Path, only: str = "") -> str:
     """Hash the statements of a file without comments, docstrings and positions."""
     tree = ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
+    if only:
+        tree.body = [node for node in tree.body if not _is_other(node, only)]
     for node in ast.walk(tree):
         for name in ("body", "orelse", "finalbody"):
             statements = getattr(node, name, None)

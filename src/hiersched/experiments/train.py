@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.control import GainSchedule
+from hiersched.experiments import files
+from hiersched.experiments.gains import load_gains
+from hiersched.experiments.points import learner_scenario
 from hiersched.learning.checkpoint import load_checkpoint
 from hiersched.learning.trainer import train
 from hiersched.log import LogReader, LogWriter
-from hiersched.runs import paths
-from hiersched.runs.gains import load_gains
-from hiersched.runs.logging import RunLabel, clear_logs, log_block, open_log
-from hiersched.runs.variants import learner_scenario
+from hiersched.runs.logging import RunLabel, log_block, open_log
 from hiersched.scenario import Scenario, scenario_sha256
 from hiersched.scenario.schema import checkpoint_rounds
 
@@ -146,7 +146,7 @@ def train_and_log(
         Whether to show progress on the terminal.
     """
     scenario = learner_scenario(study, learner)
-    schedule, gains = load_gains(results / paths.gain_file("schedule"), scenario)
+    schedule, gains = load_gains(results / files.gain_file("schedule"), scenario)
     checkpoint = _checkpoint_folder(results, scenario, learner, code) / "training.pt"
     done = 0
     if checkpoint.exists():
@@ -174,7 +174,7 @@ def train_and_log(
         num_rounds=len(rounds),
         first_round=sum(r <= done for r in rounds) if done else 0,
     )
-    progress = results / paths.progress_file(learner)
+    progress = results / files.progress_file(learner)
     progress.parent.mkdir(parents=True, exist_ok=True)
     policies = train(
         scenario,
@@ -185,21 +185,23 @@ def train_and_log(
         checkpoint=checkpoint,
         show=show,
     )
-    names = [*paths.training_logs(study, learner), *paths.checkpoint_logs(study, learner)]
-    wanted = {results / name for name in names}
-    clear_logs(progress.parent, wanted)
+    weight_files = files.policy_files(study, learner)
+    wanted = {results / name for name in (*files.learner_logs(study, learner), *weight_files)}
+    for old in progress.parent.glob("*seed*"):
+        if old not in wanted:
+            old.unlink()
     for index, policy in enumerate(policies):
-        weights = results / paths.policy_file(learner, policy.seed)
+        weights = results / weight_files[index]
         policy.save(weights)
         attachments = {weights.name: weights.read_bytes()}
-        logs.join(index, results / paths.training_log(learner, policy.seed), attachments)
-        fixed.join(index, results / paths.checkpoint_log(learner, policy.seed), {})
+        logs.join(index, results / files.training_log(learner, policy.seed), attachments)
+        fixed.join(index, results / files.checkpoint_log(learner, policy.seed), {})
     shutil.rmtree(checkpoint.parents[1])
 
 
 def _checkpoint_folder(results: Path, scenario: Scenario, learner: str, code: str) -> Path:
     """Make the folder of this very training, and remove those of the learner's others."""
-    folder = results / paths.CHECKPOINTS / learner / f"{scenario_sha256(scenario)[:16]}_{code[:16]}"
+    folder = results / files.CHECKPOINTS / learner / f"{scenario_sha256(scenario)[:16]}_{code[:16]}"
     if folder.parent.exists():
         for other in folder.parent.iterdir():
             if other != folder:

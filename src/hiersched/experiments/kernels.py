@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from hiersched.core.randomness import world_keys
+from hiersched.experiments.points import experiments
 from hiersched.models.model import Setup
 from hiersched.policies.features import num_features
 from hiersched.policies.index_rules import CLASSICAL
 from hiersched.policies.learned import NETWORKS, layer_sizes, network_words, num_parameters
 from hiersched.policies.policy import Weigher
-from hiersched.runs.gain_study import forced_delays
 from hiersched.scenario import Scenario, load_scenario
 from hiersched.simulator import Simulator
 from hiersched.simulator.loop_gains import nominal_gains
@@ -37,8 +37,9 @@ def compile_kernels() -> None:
     for observe_robots in (False, True):
         simulator.features(none, observe_robots=observe_robots)
     simulator.set_channel(simulator.state.fading_power.copy())
-    delays = forced_delays(scenario, keys, 2, scenario.users.num_urllc)
-    Simulator(scenario, gains, keys, 2).run_robots(delays)
+    forced = experiments(scenario)["gain_study"].points[0].delays
+    assert forced is not None
+    Simulator(scenario, gains, keys, 2).run_robots(forced.draw(scenario, keys, 2))
 
 
 class _Untrained(Weigher):

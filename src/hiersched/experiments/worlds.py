@@ -1,4 +1,4 @@
-"""Policies by name, and how a stage runs them in the worlds of its seeds."""
+"""Policies by name, and how an experiment runs them in the worlds of its seeds."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from hiersched.core.randomness import world_key
 from hiersched.policies.find import find_policy
 from hiersched.scenario import Scenario
-from hiersched.scenario.schema import Worlds
 from hiersched.simulator import Gains, Simulator
 from hiersched.simulator.simulator import AnyPolicy
 
@@ -52,19 +51,10 @@ class WorldRun:
     metadata: Mapping[str, str] = field(default_factory=dict)
     attachments: Mapping[str, bytes] = field(default_factory=dict)
 
-    def after(self, warmup_slots: int) -> WorldRun:
-        """Return the run with its warm-up noted, which measures leave out."""
-        return replace(self, metadata={**self.metadata, "warmup_slots": str(warmup_slots)})
-
     def beginning(self, num_slots: int) -> WorldRun:
         """Return the first slots of the run."""
         fields = {name: values[:num_slots] for name, values in self.fields.items()}
         return replace(self, fields=fields)
-
-
-def world_slots(worlds: Worlds, slot_s: float) -> tuple[int, int]:
-    """Slots of a world and those of its warm-up, which are the first of them."""
-    return round((worlds.warmup_s + worlds.duration_s) / slot_s), round(worlds.warmup_s / slot_s)
 
 
 def seed_worlds(purpose: str, seeds: Sequence[int]) -> NDArray[np.uint64]:
@@ -84,8 +74,6 @@ def run_worlds(
     purpose: str,
     seeds: Sequence[int],
     num_slots: int,
-    *,
-    crossed: bool = False,
 ) -> Iterator[WorldRun]:
     """Run policies in one world a seed; worlds of different purposes are independent.
 
@@ -94,14 +82,13 @@ def run_worlds(
     scenario, gains
         What is run.
     policies
-        One, or one a training seed.
+        One, or one a training seed: every policy runs in every world, and world i under policy i,
+        modulo their number, is logged. Logs of all pairs would be ten times as large; a log of any
+        of them comes from that of a rule in its world, with ``hiersched replay LOG --policy FILE``.
     purpose, seeds
         Of the worlds.
     num_slots
         Of every world.
-    crossed
-        Whether every policy runs in every world, as one batch. Else world i runs policy i, modulo
-        their number. These runs are logged in either case, the others are not.
 
     Yields
     ------
@@ -110,12 +97,9 @@ def run_worlds(
     """
     for index, runnable in enumerate(policies):
         own = seeds[index :: len(policies)]
-        worlds = seeds if crossed else own
-        if not worlds:
-            continue
-        simulator = Simulator(scenario, gains, seed_worlds(purpose, worlds), num_slots)
+        simulator = Simulator(scenario, gains, seed_worlds(purpose, seeds), num_slots)
         record = simulator.run(runnable.policy)
-        for place, seed in enumerate(worlds):
+        for place, seed in enumerate(seeds):
             yield WorldRun(
                 seed=seed,
                 fields=record.environment(place),

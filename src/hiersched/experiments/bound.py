@@ -14,13 +14,14 @@ from scipy.optimize import linear_sum_assignment
 
 from hiersched.allocation.exact import exact_allocation, lagrangian, owned_rates
 from hiersched.allocation.objective import UserTerms
+from hiersched.experiments import files
+from hiersched.experiments.gains import load_gains
+from hiersched.experiments.points import experiments
+from hiersched.experiments.worlds import seed_worlds
 from hiersched.log import LogError
 from hiersched.policies.exact import slot_terms
 from hiersched.policies.index_rules import CLASSICAL
-from hiersched.runs import paths
-from hiersched.runs.gains import load_gains
 from hiersched.runs.logged import read_slots
-from hiersched.runs.policies import seed_worlds, world_slots
 from hiersched.scenario import Scenario
 from hiersched.simulator import Simulator
 
@@ -78,13 +79,15 @@ def compute_bound(scenario: Scenario, results: Path, output: Path) -> None:
     LogError
         If a log is damaged, or its rates do not follow from channel and allocation.
     """
-    _, gains = load_gains(results / paths.gain_file("schedule"), scenario)
-    num_slots, _ = world_slots(scenario.evaluate, scenario.radio.slot_s)
+    _, gains = load_gains(results / files.gain_file("schedule"), scenario)
+    evaluation = experiments(scenario)["evaluate"]
+    (point,) = evaluation.points
+    num_slots, _ = evaluation.num_slots(scenario)
     rows: list[dict[str, Any]] = []
     for policy in scenario.evaluate.policies:
         for seed in scenario.evaluate.seeds:
             world = Simulator(scenario, gains, seed_worlds("evaluate", [seed]), num_slots)
-            path = results / paths.evaluation_log(policy, seed)
+            path = results / files.run_log(evaluation, point, policy, seed)
             for moment in read_moments(path, world, scenario.bound.slots_per_log):
                 rows += _rows(moment, world, {"policy": policy, "seed": seed})
         print(f"bound {policy}: {scenario.bound.slots_per_log} slots a world", flush=True)

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
 
+from hiersched.experiments.worlds import PolicySource, RunnablePolicy
 from hiersched.learning.policy import TrainedPolicy
-from hiersched.runs.policies import PolicySource, RunnablePolicy
 from hiersched.scenario import Scenario
 
 

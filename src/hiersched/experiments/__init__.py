@@ -1,0 +1,1 @@
+"""What a study runs: points of experiments, trainings, gain designs, exact optima."""

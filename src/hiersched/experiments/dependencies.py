@@ -1,0 +1,204 @@
+"""What a job depends on, as one line: the values of the keys that it reads and its code's hash.
+
+Snakemake compares the parameters of a rule as a set of values without names, so all of them are in
+this one. A value that the job does not read leaves it as it is, and so does a comment.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+from dataclasses import fields
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+from hiersched.core.registry import ALGORITHMS, registered_files
+from hiersched.core.seam import outside_files
+from hiersched.experiments.fingerprint import code_fingerprint
+from hiersched.experiments.gains import design_values, designs
+from hiersched.experiments.points import Experiment, experiments, groups, learner_scenario
+from hiersched.models.model import SECTIONS
+from hiersched.policies.imported import ImportedPolicy
+from hiersched.scenario import Scenario, scenario_to_dict
+from hiersched.scenario.plugins import plugin_modules
+from hiersched.scenario.schema import model_at
+
+_SECTIONS = {
+    *SECTIONS,
+    *(field.name for field in fields(Scenario)),
+} - {"name", "plugins", "policies", "learners"}
+"""Keys that hold other keys."""
+
+_SLOT_LOOP = (
+    *("name", "plugins", "users", "radio", "traffic", "schedulers", "robot", "control", "plant"),
+    "objective.penalty_weight",
+    "objective.epsilon",
+    "objective.delay_exponent",
+    "objective.constraint",
+    "learning.reward_scale",
+)
+"""What the slot loop reads, whoever decides."""
+
+_LOG_FORM = ("log.compression", "log.chunk_bytes")
+
+
+def picked(scenario: Scenario, keys: tuple[str, ...]) -> dict[str, Any]:
+    """Values of dotted keys and sections, flat: ``radio.fading.scale`` -> 1.0.
+
+    `plugins` are the hashes of their sources: an edited plug-in is another value.
+    """
+    sections = scenario_to_dict(scenario)
+    flat: dict[str, Any] = {}
+    for key in keys:
+        value: Any = sections
+        for part in key.split("."):
+            value = value[part]
+        flat |= {"plugins": plugin_hashes(scenario)} if key == "plugins" else _flat(key, value)
+    return flat
+
+
+def _flat(key: str, value: Any) -> dict[str, Any]:
+    """Values below a key, those of models in it key by key."""
+    if key not in _SECTIONS:
+        return {key: value}
+    return {
+        dotted: inner
+        for name, part in value.items()
+        for dotted, inner in _flat(f"{key}.{name}", part).items()
+    }
+
+
+def plugin_hashes(scenario: Scenario) -> dict[str, str]:
+    """Return a hash of the sources of every plug-in that a scenario names or takes a model from.
+
+    Those that add figures, tables or claims alone are left out: no run depends on them.
+    """
+    shown = registered_files("study") - registered_files("")
+    modules = {
+        name: module
+        for name, module in plugin_modules(scenario).items()
+        if str(module.__file__) not in shown
+    }
+    found = {name: sources_sha256(module) for name, module in modules.items()}
+    models = [model_at(scenario, key) for key in SECTIONS]
+    rules = [
+        policy for policy in scenario.policies.values() if not isinstance(policy, ImportedPolicy)
+    ]
+    learners = [ALGORITHMS.loaded(learning.algorithm) for learning in scenario.learned.values()]
+    kinds = (*map(type, models), *map(type, rules), *learners)
+    names = [getattr(kind, "__module__", "") for kind in kinds]
+    names += [
+        policy.source.partition(":")[0]
+        for policy in scenario.policies.values()
+        if isinstance(policy, ImportedPolicy)
+    ]
+    for module in map(sys.modules.get, names):
+        if module is not None and module not in modules.values():
+            found |= _outside_hash(module)
+    return found
+
+
+def _outside_hash(module: ModuleType) -> dict[str, str]:
+    """Return the hash of a module that is not ours, by its name: one of an installed package."""
+    if module.__name__.partition(".")[0] == __name__.partition(".")[0]:
+        return {}
+    return {module.__name__: sources_sha256(module)}
+
+
+def sources_sha256(module: ModuleType) -> str:
+    """Hash the files of a module and of what it imports, but for installed packages."""
+    digest = hashlib.sha256()
+    for file in sorted({*outside_files(module), str(module.__file__)}):
+        digest.update(hashlib.sha256(Path(file).read_bytes()).digest())
+    return digest.hexdigest()
+
+
+def stage_spec(stage: str, values: Any, script: Path, *, only: str = "") -> str:
+    """Return the parameter of a rule: canonical JSON of the values and of the hash of its code.
+
+    Of a registered function `only` is its name: see `code_fingerprint`.
+    """
+    document = {"stage": stage, "code": code_fingerprint(script, only=only), "values": values}
+    return json.dumps(document, sort_keys=True, separators=(",", ":"), allow_nan=False)
+
+
+def gains_values(scenario: Scenario, design: str) -> dict[str, Any]:
+    """Pick what one gain schedule depends on."""
+    return _with_plant_code(scenario, json.loads(design_values(designs(scenario)[design])))
+
+
+def _with_plant_code(scenario: Scenario, values: dict[str, Any]) -> dict[str, Any]:
+    return {**values, "plugins": _outside_hash(sys.modules[type(scenario.plant).__module__])}
+
+
+def train_values(scenario: Scenario, learner: str) -> dict[str, Any]:
+    """Pick what the training of a learner depends on: not the other learners."""
+    keys = (*_SLOT_LOOP, "objective", "learning", *_LOG_FORM, "log.train_profile")
+    return picked(learner_scenario(scenario, learner), keys)
+
+
+def run_values(scenario: Scenario, experiment: Experiment, group: str) -> dict[str, Any]:
+    """Pick what a group of policies in an experiment depends on, besides gains and weights.
+
+    Keys in which its points differ stand with the points, so that the scenario's own value of a
+    swept key changes nothing.
+    """
+    policies = groups(scenario, experiment)[group]
+    keys = (*_SLOT_LOOP, *_LOG_FORM)
+    base = picked(scenario, keys)
+    points = {p.value: picked(p.scenario, keys) for p, _ in experiment.runs(policies)}
+    different = {
+        key
+        for values in points.values()
+        for key in values.keys() | base.keys()
+        if values.get(key) != base.get(key)
+    } | {key for point in experiment.points for key in point.values}
+    added = {name: scenario.policies[name] for name in policies if name in scenario.policies}
+    return {
+        **{key: value for key, value in base.items() if key not in different},
+        "points": {
+            value: {key: v for key, v in values.items() if key in different}
+            for value, values in points.items()
+        },
+        "delays": {p.value: p.delays.to_json() for p in experiment.points if p.delays},
+        "seeds": experiment.seeds,
+        "worlds": [experiment.warmup_s, experiment.duration_s],
+        "logs": [experiment.profile, experiment.full_logs, experiment.full_log_s],
+        "policies": sorted(policies),
+        "added": picked(scenario, tuple(f"policies.{name}" for name in added)),
+    }
+
+
+def measure_values(scenario: Scenario, group: str) -> dict[str, Any]:
+    """Pick what the measures of a group depend on, besides the logs: what is in which of them."""
+    values = picked(
+        scenario,
+        ("name", "plugins", "users", "radio", "traffic", "objective.penalty_weight", "robot"),
+    )
+    for experiment in experiments(scenario).values():
+        if group in groups(scenario, experiment):
+            values[experiment.name] = run_values(scenario, experiment, group)
+    if group in scenario.learned:
+        values["training seeds"] = list(scenario.learned[group].seeds)
+    return values
+
+
+def bound_values(scenario: Scenario) -> dict[str, Any]:
+    """Pick what the exact optima depend on, besides the logs."""
+    return picked(scenario, (*_SLOT_LOOP, "evaluate", "bound"))
+
+
+def stability_values(scenario: Scenario) -> dict[str, Any]:
+    """Pick what the stability regions depend on, besides the gains."""
+    study = picked(scenario, ("gain_study",))
+    return _with_plant_code(scenario, {**json.loads(design_values(scenario)), **study})
+
+
+def scenario_values(scenario: Scenario, notes: str = "") -> dict[str, Any]:
+    """Pick every value; `notes` is more text that the result shows, such as units."""
+    return {
+        "scenario": scenario_to_dict(scenario),
+        "notes": hashlib.sha256(notes.encode()).hexdigest(),
+    }

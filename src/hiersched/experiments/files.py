@@ -1,0 +1,95 @@
+"""Where the files of a study lie, relative to its folder ``results/<scenario>``."""
+
+from __future__ import annotations
+
+from hiersched.experiments.points import Experiment, Point, groups, is_crossed
+from hiersched.scenario import Scenario
+
+SCENARIO = "scenario.yaml"
+CHECKPOINTS = "checkpoints"
+STABILITY = "gains/stability.json"
+BOUND = "bound/slots.csv"
+CLAIMS = ("claims.json", "claims.md")
+
+
+def gain_file(design: str) -> str:
+    """Gain schedule by its name among `designs`."""
+    return f"gains/{design}.json"
+
+
+def progress_file(learner: str) -> str:
+    """Learning curves of a learner."""
+    return f"train/{learner}/progress.csv"
+
+
+def policy_files(scenario: Scenario, learner: str) -> list[str]:
+    """List the weights of all training seeds of a learner."""
+    return [f"train/{learner}/policy_seed{seed}.pt" for seed in scenario.learned[learner].seeds]
+
+
+def training_log(learner: str, seed: int) -> str:
+    """Log of the training of one seed."""
+    return f"train/{learner}/seed{seed}.mcap"
+
+
+def checkpoint_log(learner: str, seed: int) -> str:
+    """Log of the policies of one seed without noise, at the start and during training."""
+    return f"train/{learner}/checkpoints_seed{seed}.mcap"
+
+
+def learner_logs(scenario: Scenario, learner: str) -> list[str]:
+    """List the logs of the training of all seeds of a learner, those without noise among them."""
+    seeds = scenario.learned[learner].seeds
+    return [log(learner, seed) for log in (training_log, checkpoint_log) for seed in seeds]
+
+
+def runs_folder(experiment: Experiment, point: Point, policy: str) -> str:
+    """Folder of the runs of a policy at a point."""
+    return "/".join(filter(None, ("runs", experiment.name, point.value, policy)))
+
+
+def run_log(experiment: Experiment, point: Point, policy: str, seed: int) -> str:
+    """Log of a policy at a point in the world of a seed."""
+    return f"{runs_folder(experiment, point, policy)}/seed{seed}.mcap"
+
+
+def full_log(experiment: Experiment, point: Point, policy: str, seed: int) -> str:
+    """Log of the beginning of such a run in full."""
+    return f"{runs_folder(experiment, point, policy)}/seed{seed}_full.mcap"
+
+
+def crossed_file(experiment: Experiment, point: Point, policy: str) -> str:
+    """Measures of a learner's policies in the worlds in which they are not logged."""
+    return f"{runs_folder(experiment, point, policy)}/crossed.parquet"
+
+
+def group_logs(experiment: Experiment, policies: tuple[str, ...]) -> list[str]:
+    """List the logs of a group of policies in an experiment, but for those in full."""
+    return [
+        run_log(experiment, point, policy, seed)
+        for point, policy in experiment.runs(policies)
+        for seed in experiment.seeds
+    ]
+
+
+def group_files(scenario: Scenario, experiment: Experiment, group: str) -> list[str]:
+    """List all files that a group of policies writes in an experiment."""
+    policies = groups(scenario, experiment)[group]
+    return [
+        *group_logs(experiment, policies),
+        *(
+            full_log(experiment, point, policy, seed)
+            for point, policy in experiment.runs(policies)
+            for seed in experiment.seeds[: experiment.full_logs]
+        ),
+        *(
+            crossed_file(experiment, point, policy)
+            for point, policy in experiment.runs(policies)
+            if is_crossed(scenario, policy)
+        ),
+    ]
+
+
+def measure_files(group: str) -> list[str]:
+    """List the tables of measures of a group of policies, or of a learner's training."""
+    return [f"measures/{group}.parquet"]

@@ -1,0 +1,128 @@
+"""Gain schedules: designed once, then read and checked by every stage that runs robots."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from hiersched.control import GainSchedule, load_or_build
+from hiersched.control.gain_schedule import design_key
+from hiersched.experiments.points import Experiment, experiments, value_text
+from hiersched.scenario import Scenario, scenario_to_dict
+from hiersched.simulator.loop_gains import LoopGains, loop_gains, plant_of
+
+DESIGN_KEYS = (
+    "control.sampling_s",
+    "control.weight",
+    "control.max_delay_s",
+    "control.loop",
+    "control.operator_share",
+    "control.method",
+    "control.decay_rate",
+    "robot.speed_mps",
+    "robot.actuator_lag_s",
+    "plant.model",
+)
+"""What every design reads; `design_values` adds the keys of the plant."""
+
+
+@lru_cache(maxsize=1024)
+def design_values(scenario: Scenario) -> str:
+    """Return what a gain schedule depends on, as canonical JSON."""
+    own = scenario.plant.design_keys
+    plant = ("plant",) if own is None else tuple(f"plant.{name}" for name in own)
+    data = scenario_to_dict(scenario)
+    values: dict[str, Any] = {}
+    for key in dict.fromkeys((*DESIGN_KEYS, *plant)):
+        value: Any = data
+        for part in key.split("."):
+            value = value[part]
+        values[key] = value
+    return json.dumps(values, sort_keys=True)
+
+
+@lru_cache(maxsize=8)
+def designs(scenario: Scenario) -> dict[str, Scenario]:
+    """Return the gain schedules of a study: name of the file -> a scenario it is designed for.
+
+    ``schedule`` is the scenario's own; the others are named after what differs from it.
+    """
+    found = {design_values(scenario): ("schedule", scenario)}
+    own = json.loads(design_values(scenario))
+    for experiment in experiments(scenario).values():
+        for point in experiment.points:
+            values = design_values(point.scenario)
+            if values not in found:
+                found[values] = (f"schedule_{_difference(own, values)}", point.scenario)
+    return dict(found.values())
+
+
+def _difference(own: dict[str, Any], values: str) -> str:
+    other = json.loads(values)
+    parts = [
+        f"{key.rpartition('.')[2]}_{value_text(value)}"
+        for key, value in other.items()
+        if own.get(key) != value
+    ]
+    text = "_".join(parts)
+    if len(text) <= 60:
+        return text
+    return hashlib.sha256(values.encode()).hexdigest()[:12]
+
+
+def design_of(scenario: Scenario, variant: Scenario) -> str:
+    """Return the name of the schedule, among `designs`, that a variant needs."""
+    wanted = design_values(variant)
+    return next(name for name, own in designs(scenario).items() if design_values(own) == wanted)
+
+
+def experiment_designs(scenario: Scenario, experiment: Experiment) -> list[str]:
+    """List the schedules that the points of an experiment need, each once."""
+    return list(dict.fromkeys(design_of(scenario, p.scenario) for p in experiment.points))
+
+
+def design_gains(scenario: Scenario, design: str, path: Path) -> GainSchedule:
+    """Design one of the schedules of `designs`; a file that holds it already is kept.
+
+    Raises
+    ------
+    ValueError
+        If the study has no such design.
+    """
+    known = designs(scenario)
+    if design not in known:
+        raise ValueError(f"design = {design!r}: must be one of {', '.join(known)}")
+    variant = known[design]
+    control = variant.control
+    path.parent.mkdir(parents=True, exist_ok=True)
+    return load_or_build(
+        path,
+        plant_of(variant),
+        variant.max_delay_steps,
+        control.method,
+        decay_rate=control.decay_rate,
+    )
+
+
+def load_gains(path: Path, scenario: Scenario) -> tuple[GainSchedule, LoopGains]:
+    """Read the schedule of a scenario and form the gains of its loop.
+
+    Raises
+    ------
+    ValueError
+        If the file holds the gains of another design.
+    """
+    schedule = GainSchedule.from_json(path.read_text(encoding="utf-8"))
+    plant, control = plant_of(scenario), scenario.control
+    key = design_key(plant, scenario.max_delay_steps, control.method, control.decay_rate)
+    if schedule.key != key:
+        raise ValueError(
+            f"{path}: gains of another design ({schedule.method}, {schedule.kind} plant, sampling "
+            f"{schedule.sampling_s:g} s, T_max {schedule.max_delay_steps}) than the scenario's "
+            f"({control.method}, {scenario.plant_name} plant, sampling {control.sampling_s:g} s, "
+            f"T_max {scenario.max_delay_steps})"
+        )
+    return schedule, loop_gains(schedule, control.gain)

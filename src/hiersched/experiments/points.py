@@ -1,0 +1,518 @@
+"""What a study runs: experiments, each a list of points, policies and seeds.
+
+A point is the scenario with some of its values replaced; evaluation, sweeps, cells of other sizes
+and the gain study are instances.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from itertools import product
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hiersched.core.randomness import STREAM_DELAY, draw_uniforms
+from hiersched.scenario import Scenario, ScenarioError, with_values
+from hiersched.scenario.consistency import inconsistencies
+from hiersched.scenario.schema import GainMethod, Users, hold_of
+
+Gain = Literal["nominal", "adjusted"]
+Cell: TypeAlias = tuple[int, int, int]
+"""URLLC users, eMBB users, PRBs."""
+
+STUDY_PLANTS: dict[GainMethod, Literal["network", "split"]] = {
+    "krasovskii": "network",
+    "razumikhin": "split",
+    "predictor": "network",
+    "latency_compensated": "network",
+    "h2": "network",
+}
+"""Method of the gain study -> the plant that it is for."""
+
+GAINS: tuple[Gain, ...] = ("nominal", "adjusted")
+"""What stands for policies in the gain study, where delays are forced and nobody decides."""
+
+BASELINE = "pf"
+CLASSICAL_GROUP = "classical"
+"""Policies that need no training share a job; each learner's have one of their own."""
+GAIN_GROUP = "gains"
+"""The loops of the gain study share a job."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ForcedDelays:
+    """Network delays that are drawn instead of measured: uniform per slot and robot.
+
+    Attributes
+    ----------
+    windows
+        Windows of violated delay, 1 = the first.
+    violation_s, calm_s
+        Bounds of the delays in these windows, and elsewhere [s].
+    """
+
+    windows: tuple[int, ...]
+    violation_s: tuple[float, float]
+    calm_s: tuple[float, float]
+
+    def draw(
+        self, scenario: Scenario, keys: NDArray[np.uint64], num_slots: int
+    ) -> NDArray[np.float64]:
+        """Draw the delays [s], shape (E, T, R); they depend on the worlds alone."""
+        per_window = round(scenario.robot.window_s / scenario.radio.slot_s)
+        violated = np.isin(np.arange(num_slots) // per_window + 1, self.windows)
+        low = np.where(violated, self.violation_s[0], self.calm_s[0])
+        high = np.where(violated, self.violation_s[1], self.calm_s[1])
+        uniform = np.empty((len(keys), num_slots, scenario.users.num_urllc))
+        for env, key in enumerate(keys):
+            for slot in range(num_slots):
+                draw_uniforms(key, STREAM_DELAY, slot, 0, uniform[env, slot])
+        return low[:, None] + (high - low)[:, None] * uniform
+
+    def to_json(self) -> str:
+        """Write them for the metadata of a log."""
+        return json.dumps(vars(self))
+
+    @staticmethod
+    def from_json(text: str) -> ForcedDelays:
+        """Read them."""
+        return ForcedDelays(
+            **{name: tuple(values) for name, values in json.loads(text).items()}
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Point:
+    """A point of an experiment.
+
+    Attributes
+    ----------
+    value
+        Its name, in paths and metadata; empty where the experiment has no other.
+    scenario
+        The scenario with the values of the point in place.
+    values
+        Dotted key -> value, of a sweep.
+    policies
+        Which run here; all of the experiment's unless given.
+    delays
+        Forced ones, of the gain study.
+    """
+
+    value: str
+    scenario: Scenario
+    values: Mapping[str, Any] = field(default_factory=dict)
+    policies: tuple[str, ...] | None = None
+    delays: ForcedDelays | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Experiment:
+    """Points x policies x seeds.
+
+    Attributes
+    ----------
+    name
+        Folder of its logs.
+    stage
+        In the metadata of its logs; worlds of different stages are independent.
+    axis
+        What its points vary, in tables; empty for none.
+    points, policies, seeds
+        All of them meet each other, but for a point's own list of policies.
+    warmup_s, duration_s
+        Of every world, the warm-up first [s].
+    profile
+        Of the logs.
+    full_logs, full_log_s
+        Worlds whose beginning is logged in full as well, and how long that is.
+    """
+
+    name: str
+    stage: str
+    axis: str = ""
+    points: tuple[Point, ...]
+    policies: tuple[str, ...]
+    seeds: tuple[int, ...]
+    warmup_s: float
+    duration_s: float
+    profile: str
+    full_logs: int = 0
+    full_log_s: float = 0.0
+
+    @property
+    def forced(self) -> bool:
+        """Whether delays are forced: gains stand for policies."""
+        return self.points[0].delays is not None
+
+    def runs(self, policies: Sequence[str]) -> Iterator[tuple[Point, str]]:
+        """Yield each point with each of its policies that are among these."""
+        for point in self.points:
+            for policy in self.policies if point.policies is None else point.policies:
+                if policy in policies:
+                    yield point, policy
+
+    def num_slots(self, scenario: Scenario) -> tuple[int, int]:
+        """Slots of a world and those of its warm-up, which are the first of them."""
+        slot_s = scenario.radio.slot_s
+        return round((self.warmup_s + self.duration_s) / slot_s), round(self.warmup_s / slot_s)
+
+
+@lru_cache(maxsize=8)
+def experiments(scenario: Scenario) -> dict[str, Experiment]:
+    """Return every experiment of a study by name, with whatever has points and policies.
+
+    Raises
+    ------
+    ScenarioError
+        If a point does not fit the rest of the scenario; all faults are listed.
+    """
+    faults: list[str] = []
+    found = []
+    for build in (_evaluation, _sweeps, _cells, _gain_study):
+        for make in build(scenario):
+            try:
+                found.append(make())
+            except ScenarioError as error:
+                faults.append(str(error))
+    if faults:
+        raise ScenarioError("\n".join(faults))
+    return {e.name: e for e in found if e.points and e.policies}
+
+
+def _evaluation(scenario: Scenario) -> Iterator[Any]:
+    worlds = scenario.evaluate
+    yield lambda: Experiment(
+        name="evaluate",
+        stage="evaluate",
+        points=(Point(value="", scenario=scenario),),
+        policies=worlds.policies,
+        seeds=worlds.seeds,
+        warmup_s=worlds.warmup_s,
+        duration_s=worlds.duration_s,
+        profile=scenario.log.evaluate_profile,
+        full_logs=worlds.full_logs,
+        full_log_s=worlds.full_log_s,
+    )
+
+
+def _sweeps(scenario: Scenario) -> Iterator[Any]:
+    worlds = scenario.sweeps
+    for name in worlds.axes:
+        yield lambda name=name: Experiment(
+            name=name,
+            stage="sweep",
+            axis=name,
+            points=tuple(_axis_points(scenario, name)),
+            policies=axis_policies(scenario, name),
+            seeds=worlds.seeds,
+            warmup_s=worlds.warmup_s,
+            duration_s=worlds.duration_s,
+            profile=scenario.log.sweep_profile,
+        )
+
+
+def axis_policies(scenario: Scenario, name: str) -> tuple[str, ...]:
+    """Return the policies along an axis: ``all``, ``own`` or its list, as the scenario says.
+
+    The exact optimum runs where a scenario names it and nowhere else: it is slow.
+    """
+    named, chosen = scenario.sweeps.policies, scenario.sweeps.axes[name].policies
+    if chosen == "all":
+        evaluated = [policy for policy in scenario.evaluate.policies if policy != "exact"]
+        return tuple(dict.fromkeys((*named, *evaluated)))
+    if chosen == "own":
+        pair = (scenario.learning.algorithm, BASELINE)
+        return tuple(policy for policy in named if policy in pair)
+    return named if chosen is None else chosen
+
+
+def _axis_points(scenario: Scenario, name: str) -> Iterator[Point]:
+    vary = scenario.sweeps.axes[name].vary
+    faults = []
+    for values in product(*vary.values()):
+        text = "_".join(map(value_text, values))
+        chosen = dict(zip(vary, values, strict=True))
+        try:
+            variant = with_values(scenario, chosen, f"sweeps.axes.{name} = {text}")
+        except ScenarioError as error:
+            faults.append(str(error))
+        else:
+            yield Point(value=text, scenario=variant, values=chosen)
+    if faults:
+        raise ScenarioError("\n".join(faults))
+
+
+def value_text(value: Any) -> str:
+    """Return a swept value as it stands in file names: ``0.005``, ``1``, ``zigzag``."""
+    if isinstance(value, Mapping):
+        return "-".join(map(value_text, value.values()))
+    if isinstance(value, list | tuple):
+        return "-".join(map(value_text, value))
+    if isinstance(value, bool) or value is None or isinstance(value, str):
+        text = json.dumps(value) if not isinstance(value, str) else value
+        return "".join(c if c.isalnum() or c in "._-" else "-" for c in text)
+    return format(value, ".12g")
+
+
+def _cells(scenario: Scenario) -> Iterator[Any]:
+    worlds = scenario.generalise
+    yield lambda: Experiment(
+        name="generalise",
+        stage="generalise",
+        axis="cell",
+        points=tuple(
+            Point(value="u{}_e{}_k{}".format(*cell), scenario=cell_scenario(scenario, cell))
+            for cell in worlds.cells
+        ),
+        policies=worlds.policies,
+        seeds=worlds.seeds,
+        warmup_s=worlds.warmup_s,
+        duration_s=worlds.duration_s,
+        profile=scenario.log.sweep_profile,
+    )
+
+
+def cell_scenario(scenario: Scenario, cell: Cell) -> Scenario:
+    """Return the scenario in a cell of another size, its PRBs as wide as before.
+
+    The loads of the users are as spread as the scenario's: each is the average of its part of the
+    sorted list, so that users of twice as many have every load twice.
+
+    Raises
+    ------
+    ScenarioError
+        If the cell does not fit the rest of the scenario.
+    """
+    num_urllc, num_embb, num_prb = cell
+    radio, traffic = scenario.radio, scenario.traffic
+    bandwidth_hz = radio.bandwidth_hz / radio.num_prb * num_prb
+    variant = replace(
+        scenario,
+        users=Users(num_urllc=num_urllc, num_embb=num_embb),
+        radio=replace(radio, num_prb=num_prb, bandwidth_hz=bandwidth_hz),
+        traffic=replace(
+            traffic,
+            urllc_offered_mbps=_spread(traffic.urllc_offered_mbps, num_urllc),
+            embb_offered_mbps=_spread(traffic.embb_offered_mbps, num_embb),
+        ),
+    )
+    return _checked(variant, f"generalise.cells = {list(cell)}")
+
+
+def _spread(offered_mbps: float | tuple[float, ...], count: int) -> float | tuple[float, ...]:
+    """Averages over `count` equal parts of the sorted loads; one number stays as it is."""
+    if not isinstance(offered_mbps, Sequence):
+        return offered_mbps
+    loads = sorted(offered_mbps)
+    each = [load for load in loads for _ in range(count)]  # count parts of len(loads) numbers
+    parts = range(0, len(each), len(loads))
+    return tuple(sum(each[part : part + len(loads)]) / len(loads) for part in parts)
+
+
+def _gain_study(scenario: Scenario) -> Iterator[Any]:
+    study = scenario.gain_study
+    if not study.methods:
+        return
+    yield lambda: _forced(scenario, "gain_study", "", _method_points(scenario), study.num_windows)
+    sweeps = {"grid": _grid_points, "sampling_s": _sampling_points, "noise": _noise_points}
+    for axis, points in sweeps.items():
+        yield lambda axis=axis, points=points: _forced(
+            scenario, f"gain_{axis}", axis, points(scenario), study.sweep_windows
+        )
+
+
+def _forced(
+    scenario: Scenario, name: str, axis: str, points: Iterator[Point], windows: int
+) -> Experiment:
+    return Experiment(
+        name=name,
+        stage="gain_study",
+        axis=axis,
+        points=tuple(points),
+        policies=GAINS,
+        seeds=scenario.gain_study.seeds,
+        warmup_s=0.0,
+        duration_s=windows * scenario.robot.window_s,
+        profile=scenario.log.gain_study_profile,
+    )
+
+
+def _method_points(scenario: Scenario) -> Iterator[Point]:
+    """Yield a point a method, on the plant that it is for.
+
+    Methods on one plant have the same nominal gain: it runs with the first of them.
+    """
+    study = scenario.gain_study
+    delays = ForcedDelays(
+        windows=study.violation_windows,
+        violation_s=study.violation_delay_s,
+        calm_s=study.calm_delay_s,
+    )
+    for method in study.methods:
+        first = method == baseline_method(scenario, method)
+        variant = _method_scenario(scenario, method)
+        yield Point(
+            value=method,
+            scenario=robots_alone(variant, study.num_robots, f"gain_study with {method}"),
+            policies=GAINS if first else ("adjusted",),
+            delays=delays,
+        )
+
+
+def baseline_method(scenario: Scenario, method: GainMethod) -> GainMethod:
+    """Return the method whose runs with nominal gains serve a method: the first on its plant."""
+    plant = STUDY_PLANTS[method]
+    return next(name for name in scenario.gain_study.methods if STUDY_PLANTS[name] == plant)
+
+
+def _method_scenario(scenario: Scenario, method: GainMethod) -> Scenario:
+    """Return the scenario with a method of the gain study and the loop that it is for.
+
+    A plant that decides its loop itself stays what it is; predictors are not held, and what has
+    replaced a predictor is held as usual.
+    """
+    own = scenario.control
+    loop = STUDY_PLANTS[method] if scenario.plant.chooses_loop else own.loop
+    either = "predictor" in (method, own.method)
+    hold_samples = hold_of(method) if either else own.hold_samples
+    control = replace(own, method=method, loop=loop, hold_samples=hold_samples)
+    return replace(scenario, control=control)
+
+
+def _sweep_point(
+    scenario: Scenario, value: str, violation_s: tuple[float, float] | None = None
+) -> Point:
+    """Return a point of a sweep of the gain study: its first window is calm, others violated."""
+    study = scenario.gain_study
+    return Point(
+        value=value,
+        scenario=robots_alone(scenario, study.sweep_robots, f"gain_study, {value}"),
+        delays=ForcedDelays(
+            windows=tuple(range(2, study.sweep_windows + 1)),
+            violation_s=study.violation_delay_s if violation_s is None else violation_s,
+            calm_s=study.calm_delay_s,
+        ),
+    )
+
+
+def _grid_points(scenario: Scenario) -> Iterator[Point]:
+    for weight, delay_s in product(scenario.gain_study.weight, scenario.gain_study.fixed_delay_s):
+        variant = replace(scenario, control=replace(scenario.control, weight=weight))
+        name = f"q{value_text(weight)}_{value_text(delay_s)}"
+        yield _sweep_point(variant, name, (delay_s, delay_s))
+
+
+def _sampling_points(scenario: Scenario) -> Iterator[Point]:
+    for value in scenario.gain_study.sampling_s:
+        variant = replace(scenario, control=replace(scenario.control, sampling_s=value))
+        yield _sweep_point(variant, value_text(value))
+
+
+def _noise_points(scenario: Scenario) -> Iterator[Point]:
+    study = scenario.gain_study
+    for position, heading in zip(study.noise_position_m, study.noise_heading_rad, strict=True):
+        robot = replace(scenario.robot, noise_position_m=position, noise_heading_rad=heading)
+        name = f"{value_text(position)}_{value_text(heading)}"
+        yield _sweep_point(replace(scenario, robot=robot), name)
+
+
+def robots_alone(scenario: Scenario, num_robots: int, what: str) -> Scenario:
+    """Return the scenario with so many robots, in a cell just large enough for them.
+
+    Raises
+    ------
+    ScenarioError
+        If the scenario does not hold together; `what` is named.
+    """
+    traffic = replace(scenario.traffic, urllc_offered_mbps=1.0, embb_offered_mbps=1.0)
+    variant = replace(
+        scenario,
+        users=Users(num_urllc=num_robots, num_embb=1),
+        radio=replace(scenario.radio, num_prb=num_robots + 1),
+        traffic=traffic,
+    )
+    return _checked(variant, what)
+
+
+def _checked(variant: Scenario, what: str) -> Scenario:
+    faults = inconsistencies(variant)
+    if faults:
+        raise ScenarioError(
+            "\n".join(f"scenario {variant.name}: {what}: {fault}" for fault in faults)
+        )
+    return variant
+
+
+def learner_scenario(scenario: Scenario, learner: str) -> Scenario:
+    """Return the scenario as one learner trains in it: its section `learning`, and no others.
+
+    Lists of policies name this learner, by its algorithm, and the schedulers: the scenario holds
+    together on its own, as a log's has to.
+
+    Raises
+    ------
+    ValueError
+        If there is no such learner.
+    """
+    if learner not in scenario.learned:
+        raise ValueError(f"learner = {learner!r}: must be one of {', '.join(scenario.learned)}")
+    learning = scenario.learned[learner]
+
+    def own(policies: tuple[str, ...]) -> tuple[str, ...]:
+        kept = [policy for policy in policies if policy not in scenario.learned]
+        return (learning.algorithm, *kept)
+
+    evaluate, sweeps, cells = scenario.evaluate, scenario.sweeps, scenario.generalise
+    axes = {
+        name: replace(axis, policies=own(axis.policies))
+        if isinstance(axis.policies, tuple)
+        else axis
+        for name, axis in sweeps.axes.items()
+    }
+    return replace(
+        scenario,
+        learning=learning,
+        learners={},
+        evaluate=replace(evaluate, policies=own(evaluate.policies)),
+        sweeps=replace(sweeps, policies=own(sweeps.policies), axes=axes),
+        generalise=replace(cells, policies=own(cells.policies)),
+    )
+
+
+def trained_learners(scenario: Scenario) -> tuple[str, ...]:
+    """List the learners that a study trains: whose policies run, and controls of the same kind.
+
+    A control is a learner that stays as it starts, beside one with its algorithm and start.
+    """
+    named = {policy for e in experiments(scenario).values() for policy in e.policies}
+    used = [name for name in scenario.learned if name in named]
+    kinds = {
+        (scenario.learned[name].algorithm, scenario.learned[name].start) for name in used
+    }
+    return tuple(
+        name
+        for name, own in scenario.learned.items()
+        if name in used or (own.frozen and (own.algorithm, own.start) in kinds)
+    )
+
+
+def groups(scenario: Scenario, experiment: Experiment) -> dict[str, tuple[str, ...]]:
+    """Return the groups of policies that share a job of an experiment, each with its policies."""
+    if experiment.forced:
+        return {GAIN_GROUP: experiment.policies}
+    found: dict[str, tuple[str, ...]] = {}
+    for policy in experiment.policies:
+        group = policy if policy in scenario.learned else CLASSICAL_GROUP
+        found[group] = (*found.get(group, ()), policy)
+    return dict(sorted(found.items(), key=lambda item: item[0] != CLASSICAL_GROUP))
+
+
+def is_crossed(scenario: Scenario, policy: str) -> bool:
+    """Whether a policy is several, one a training seed, of which one a world is logged."""
+    return policy in scenario.learned and len(scenario.learned[policy].seeds) > 1

@@ -1,0 +1,147 @@
+"""Runs an experiment: every policy at every point in the worlds of all seeds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from hiersched.core.files import write_parquet
+from hiersched.experiments import files
+from hiersched.experiments.gains import design_of, load_gains
+from hiersched.experiments.points import (
+    GAIN_GROUP,
+    Experiment,
+    Gain,
+    Point,
+    experiments,
+    groups,
+    is_crossed,
+)
+from hiersched.experiments.worlds import PolicySource, WorldRun, run_worlds, seed_worlds
+from hiersched.runs.logged import RunSlots
+from hiersched.runs.logging import RunLabel, write_log
+from hiersched.scenario import Scenario
+from hiersched.simulator import Gains, Simulator
+
+Measure = Callable[[RunSlots, Scenario], dict[str, Any]]
+"""From the slots of a run to a row of its measures."""
+
+
+def run_experiment(
+    scenario: Scenario,
+    results: Path,
+    name: str,
+    group: str,
+    source: PolicySource,
+    measure: Measure,
+) -> None:
+    """Run and log a group of policies; every policy runs in all worlds of a point as one batch.
+
+    Of a learner's policies one a world is logged, the others are measured as they run. The
+    beginning of the first worlds is also logged in full: to look at, not to measure.
+
+    Parameters
+    ----------
+    scenario
+        The study's.
+    results
+        Its folder, with the gain schedules.
+    name, group
+        One of `experiments`, and one of its `groups`.
+    source
+        Where policies are found by name.
+    measure
+        What measures the runs that are not logged.
+    """
+    experiment = experiments(scenario)[name]
+    policies = groups(scenario, experiment)[group]
+    _clear(scenario, results, experiment, group)
+    for point, policy in experiment.runs(policies):
+        variant = point.scenario
+        if group == GAIN_GROUP:
+            variant = gain_variant(point, policy)  # type: ignore[arg-type]  # one of GAINS
+        design = design_of(scenario, variant)
+        schedule, gains = load_gains(results / files.gain_file(design), variant)
+        num_slots, warmup_slots = experiment.num_slots(variant)
+        metadata = {"warmup_slots": str(warmup_slots)} if warmup_slots else {}
+        if point.delays is not None:
+            metadata |= {"method": variant.control.method, "delays": point.delays.to_json()}
+            runs = _forced_runs(experiment, point, variant, gains)
+        else:
+            worlds = experiment.stage, experiment.seeds, num_slots
+            runs = run_worlds(variant, gains, source(variant, policy), *worlds)
+        rows = []
+        for run in runs:
+            label = RunLabel(
+                stage=experiment.stage,
+                policy="none" if experiment.forced else policy,
+                seed=run.seed,
+                axis=experiment.axis,
+                value=point.value if experiment.axis else "",
+            )
+            run = replace(run, metadata={**run.metadata, **metadata})
+            if not run.logged:
+                rows.append(measure(slots_of(variant, label, run), variant))
+                continue
+            path = results / files.run_log(experiment, point, policy, run.seed)
+            write_log(path, variant, schedule, label, run, profile=experiment.profile)
+            if run.seed in experiment.seeds[: experiment.full_logs]:
+                first = run.beginning(round(experiment.full_log_s / variant.radio.slot_s))
+                path = results / files.full_log(experiment, point, policy, run.seed)
+                write_log(path, variant, schedule, label, first, profile="full")
+        if is_crossed(scenario, policy):
+            crossed = results / files.crossed_file(experiment, point, policy)
+            write_parquet(crossed, pd.DataFrame(rows))
+        print(f"{name} {point.value} {policy}: {num_slots} slots", flush=True)
+
+
+def gain_variant(point: Point, gain: Gain) -> Scenario:
+    """Return the scenario of a point of the gain study under nominal or adjusted gains."""
+    return replace(point.scenario, control=replace(point.scenario.control, gain=gain))
+
+
+def _forced_runs(
+    experiment: Experiment, point: Point, variant: Scenario, gains: Gains
+) -> Iterator[WorldRun]:
+    assert point.delays is not None
+    keys = seed_worlds(experiment.stage, experiment.seeds)
+    num_slots, _ = experiment.num_slots(variant)
+    delays = point.delays.draw(variant, keys, num_slots)
+    record = Simulator(variant, gains, keys, num_slots).run_robots(delays)
+    for index, seed in enumerate(experiment.seeds):
+        yield WorldRun(seed=seed, fields=record.environment(index))
+
+
+def slots_of(scenario: Scenario, label: RunLabel, run: WorldRun) -> RunSlots:
+    """Return the slots of a run as `logged.read_slots` would read them from its log."""
+    metadata: Mapping[str, str] = {
+        "policy": label.policy,
+        "seed": str(label.seed),
+        "stage": label.stage,
+        "axis": label.axis,
+        "value": label.value,
+        **run.metadata,
+    }
+    seed = metadata.get("policy_seed", "none")
+    return RunSlots(
+        source=f"{label.stage} {label.axis} {label.value} {label.policy}, policy {seed}, "
+        f"world {label.seed}",
+        metadata=dict(metadata),
+        num_urllc=scenario.users.num_urllc,
+        slot_s=round(scenario.radio.slot_s * 1e9) * 1e-9,
+        warmup_slots=int(metadata.get("warmup_slots", "0")),
+        fields=dict(run.fields),
+    )
+
+
+def _clear(scenario: Scenario, results: Path, experiment: Experiment, group: str) -> None:
+    """Remove what a group's runs have left in folders of theirs and nobody asks for now."""
+    keep = {results / name for name in files.group_files(scenario, experiment, group)}
+    for folder in {path.parent for path in keep}:
+        for path in folder.glob("*"):
+            if path not in keep and (".mcap" in path.name or path.name.startswith("crossed.")):
+                path.unlink()
