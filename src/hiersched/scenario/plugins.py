@@ -10,14 +10,15 @@ from types import ModuleType
 from hiersched.core.registry import PluginError, load_installed_plugins, load_plugin
 from hiersched.scenario.schema import Scenario
 
-CONFIG = Path("config")
+CONFIG = Path(__file__).resolve().parents[1] / "config"
+"""The defaults of every key, and the shipped scenarios."""
 
 
 def load_plugins(names: Sequence[str], scenario_file: Path) -> list[str]:
     """Import what installed packages add, and the files that a scenario names.
 
     A file is looked for beside the scenario's file. A resolved scenario lies elsewhere, in the
-    results or in a log: for it the working directory and ``config/scenarios`` are searched as well.
+    results or in a log: for it the working directory is searched as well.
 
     Returns
     -------
@@ -29,7 +30,7 @@ def load_plugins(names: Sequence[str], scenario_file: Path) -> list[str]:
         load_installed_plugins()
     except PluginError as error:
         faults.append(str(error))
-    folders = tuple(dict.fromkeys((scenario_file.parent, Path(), CONFIG / "scenarios")))
+    folders = tuple(dict.fromkeys((scenario_file.parent, Path())))
     for place, name in enumerate(names):
         found = next((folder / name for folder in folders if (folder / name).is_file()), None)
         try:
