@@ -46,7 +46,7 @@ smoke: $(STAMP)  ## the same pipeline, small enough for a few minutes (results/s
 	@echo "Figures: results/smoke/figures    tables: results/smoke/tables"
 
 readme: $(STAMP)  ## write the verdicts of results/paper into the README
-	$(RUN) python workflow/scripts/readme.py --results results/paper
+	$(RUN) python src/hiersched/workflow/scripts/readme.py --results results/paper
 
 test: $(STAMP)  ## the tests
 	$(RUN) python -m pytest -n $(CORES) --dist loadfile
@@ -56,12 +56,12 @@ lint: $(STAMP)  ## style, types, import directions, workflow format
 	$(RUN) ruff format --check .
 	$(RUN) mypy
 	$(RUN) lint-imports
-	$(RUN) snakefmt --check Snakefile workflow
+	$(RUN) snakefmt --check Snakefile src/hiersched/workflow
 
 format: $(STAMP)  ## let the formatters have their way
 	$(RUN) ruff check --fix-only --quiet .
 	$(RUN) ruff format .
-	$(RUN) snakefmt Snakefile workflow
+	$(RUN) snakefmt Snakefile src/hiersched/workflow
 
 oldest:  ## the kernels' tests on the oldest Numba that pyproject.toml allows (an environment of its own)
 	test -x .venv-oldest/bin/python || "$(PYTHON)" -m venv .venv-oldest
@@ -77,7 +77,7 @@ bench-short: $(STAMP)  ## the same way with less work, in half a minute: does it
 
 clean:  ## remove caches and build leftovers (results/ and the environment stay)
 	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .benchmarks
-	find src tests workflow benchmarks -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
+	find src tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
 
 distclean: clean  ## remove the environment and the results too
 	rm -rf "$(VENV)" results .snakemake

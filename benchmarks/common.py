@@ -27,7 +27,7 @@ from hiersched.learning.networks import learner_network  # noqa: E402
 from hiersched.learning.policy import TrainedPolicy  # noqa: E402
 from hiersched.scenario import Scenario, load_scenario  # noqa: E402
 
-CONFIG = Path(__file__).resolve().parents[1] / "config"
+CONFIG = Path(__file__).resolve().parents[1] / "src/hiersched/config"
 HEADERS = ("one core, CPU time", "measured", "compared with, in this run", "ratio", "limit", "kept")
 
 

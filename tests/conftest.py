@@ -44,7 +44,7 @@ def smoke_scenario(project_root: Path) -> Scenario:
     """The small scenario: 4 URLLC and 4 eMBB users, 10 PRBs."""
     from hiersched.scenario import load_scenario
 
-    config = project_root / "config"
+    config = project_root / "src/hiersched/config"
     return load_scenario(config / "scenarios" / "smoke.yaml", defaults=config / "defaults.yaml")
 
 

@@ -8,6 +8,9 @@ import pytest
 
 from hiersched.cli import main
 from hiersched.scenario import load_scenario
+from hiersched.scenario.plugins import CONFIG
+
+SHIPPED = sorted((CONFIG / "scenarios").glob("*.yaml"))
 
 
 @pytest.fixture(autouse=True)
@@ -15,7 +18,7 @@ def in_project(project_root: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(project_root)
 
 
-@pytest.mark.parametrize("path", sorted(Path("config/scenarios").glob("*.yaml")), ids=str)
+@pytest.mark.parametrize("path", SHIPPED, ids=str)
 def test_every_scenario_of_the_project_is_fine(path: Path, capsys: pytest.CaptureFixture) -> None:
     assert main(["scenario", "check", str(path)]) == 0
     assert f"scenario {path.stem} is fine" in capsys.readouterr().out
@@ -55,7 +58,7 @@ def test_a_fault_is_one_message(
 
 def test_a_missing_file_names_those_that_exist(capsys: pytest.CaptureFixture) -> None:
     assert main(["scenario", "check", "papper"]) == 2
-    there = ", ".join(sorted(path.stem for path in Path("config/scenarios").glob("*.yaml")))
+    there = ", ".join(path.stem for path in SHIPPED)
     assert "paper, smoke" in there
     assert f"no such scenario; there are: {there}" in capsys.readouterr().err
 

@@ -87,9 +87,7 @@ def merged(base: dict[str, Any], over: dict[str, Any]) -> dict[str, Any]:
 
 @pytest.fixture
 def folder(project_root, tmp_path, monkeypatch):
-    """Working directory with the defaults; what is plugged in here is gone afterwards."""
-    (tmp_path / "config").mkdir()
-    shutil.copy(project_root / "config/defaults.yaml", tmp_path / "config")
+    """Working directory; what is plugged in here is gone afterwards."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", list(sys.path))
     yield tmp_path
@@ -441,19 +439,17 @@ def test_draws_that_a_decision_changes_are_found(tiny_with):
 def test_snakemake_runs_a_study_of_plugins(tiny_with, folder, project_root, capsys):
     """Gains, kernels and the evaluation of a study with four plug-ins; the rest is planned."""
     scenario = tiny_with("scheduler", "channel", "traffic", evaluate={"policies": ["steep", "pf"]})
-    shutil.copy(project_root / "Snakefile", folder)
-    shutil.copytree(project_root / "workflow", folder / "workflow")
-    shutil.copytree(project_root / "config/scenarios", folder / "config/scenarios")
     log = f"results/{scenario.name}/{paths.evaluation_log('steep', 11)}"
+    snakemake = ("-m", "snakemake", "--snakefile", str(project_root / "Snakefile"))
     given = ("--config", "scenarios=[tiny.yaml]")
-    done = run_python(folder, project_root, "-m", "snakemake", "--cores", "1", log, *given)
+    done = run_python(folder, project_root, *snakemake, "--cores", "1", log, *given)
     assert done.returncode == 0, done.stderr
     replays(folder / log, capsys)
-    planned = run_python(folder, project_root, "-m", "snakemake", "-n", *given)
+    planned = run_python(folder, project_root, *snakemake, "-n", *given)
     assert planned.returncode == 0, planned.stderr
     assert "measure_classical" in planned.stdout + planned.stderr
     assert "evaluate_classical" not in planned.stdout + planned.stderr
     rules = folder / "my_rules.py"
     rules.write_text(rules.read_text(encoding="utf-8") + "\n# edited\n", encoding="utf-8")
-    again = run_python(folder, project_root, "-m", "snakemake", "-n", *given)
+    again = run_python(folder, project_root, *snakemake, "-n", *given)
     assert "evaluate_classical" in again.stdout + again.stderr

@@ -83,7 +83,7 @@ def test_key_checker_knows_a_good_line(line: str, accepted: bool) -> None:
 
 
 def test_every_default_has_unit_and_origin(project_root: Path) -> None:
-    text = (project_root / "config" / "defaults.yaml").read_text(encoding="utf-8")
+    text = (project_root / "src/hiersched/config" / "defaults.yaml").read_text(encoding="utf-8")
     assert unexplained_keys(text) == []
 
 
@@ -104,7 +104,7 @@ def test_numbers_in_yaml_are_numbers(project_root: Path) -> None:
             return False
         return True
 
-    files = sorted((project_root / "config").rglob("*.yaml"))
+    files = sorted((project_root / "src/hiersched/config").rglob("*.yaml"))
     assert files
     quoted = [
         f"{file.name}: {text}"

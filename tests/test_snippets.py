@@ -49,7 +49,7 @@ def test_snippets_run_from_top_to_bottom(page, project_root, monkeypatch):
 
 def test_every_page_with_snippets_is_run(project_root: Path) -> None:
     pages = [*project_root.glob("*.md"), *project_root.glob("docs/*.md")]
-    pages += project_root.glob("config/*.md")
+    pages += project_root.glob("src/hiersched/config/*.md")
     # Those of docs/extending: tests/test_extending.py.
     found = {
         path.relative_to(project_root).as_posix()

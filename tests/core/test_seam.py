@@ -447,7 +447,7 @@ def test_a_deleted_plugin_disturbs_no_other_run(processes, project_root, tmp_pat
     here = Path(numba.config.CACHE_DIR)
     if here.is_dir():  # what is compiled already need not be compiled again
         shutil.copytree(here, processes.cache, dirs_exist_ok=True)
-    config = project_root / "config"
+    config = project_root / "src/hiersched/config"
     with_it, _ = processes(RUN, config, file)
     assert with_it["most"] == [1, 1, 3, 1, 1, 1, 1, 1]
     assert list(processes.cache.rglob("*index_favourite*.nbc"))

@@ -62,8 +62,10 @@ class Schedule:
 
 @pytest.fixture(scope="module")
 def smoke(project_root: Path) -> Scenario:
-    defaults = project_root / "config/defaults.yaml"
-    return load_scenario(project_root / "config/scenarios/smoke.yaml", defaults=defaults)
+    defaults = project_root / "src/hiersched/config/defaults.yaml"
+    return load_scenario(
+        project_root / "src/hiersched/config/scenarios/smoke.yaml", defaults=defaults
+    )
 
 
 def test_logs_in_a_row_have_the_texts_of_their_own_scenario(

@@ -48,7 +48,7 @@ log: {chunk_bytes: 16384, evaluate_profile: full, sweep_profile: compact}
 def small(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Scenario:
     path = tmp_path_factory.mktemp("scenario") / "small.yaml"
     path.write_text(SMALL, encoding="utf-8")
-    return load_scenario(path, defaults=project_root / "config" / "defaults.yaml")
+    return load_scenario(path, defaults=project_root / "src/hiersched/config" / "defaults.yaml")
 
 
 @pytest.fixture(scope="session")

@@ -117,7 +117,9 @@ def told(
     text.write_text(WANTED.format(name=plugin.stem), encoding="utf-8")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "path", list(sys.path))
-        scenario = load_scenario(text, defaults=project_root / "config" / "defaults.yaml")
+        scenario = load_scenario(
+            text, defaults=project_root / "src/hiersched/config" / "defaults.yaml"
+        )
         patch.chdir(folder)
         results = {}
         for profile in ("full", "compact", "decisions"):

@@ -38,7 +38,7 @@ log: {chunk_bytes: 16384, train_profile: compact, evaluate_profile: full, sweep_
 def tiny(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Scenario:
     path = tmp_path_factory.mktemp("scenario") / "tiny.yaml"
     path.write_text(TINY, encoding="utf-8")
-    return load_scenario(path, defaults=project_root / "config" / "defaults.yaml")
+    return load_scenario(path, defaults=project_root / "src/hiersched/config" / "defaults.yaml")
 
 
 @pytest.fixture(scope="session")

@@ -15,6 +15,7 @@ FILES = {
     "hiersched/deep/__init__.py": '"""Package."""\n',
     "hiersched/deep/far.py": "x = 1\n",
     "hiersched/deep/table.csv": "1,2\n",
+    "hiersched/config/defaults.yaml": "a: 1\n",
     "hiersched/lazy.py": "y = 2\n",
     "hiersched/relative.py": "from .deep import far\nfrom . import lazy\n",
     "hiersched/other.py": "z = 3\n",
@@ -78,6 +79,7 @@ def test_relative_imports_are_followed(tree: Path) -> None:
         ("hiersched/lazy.py", "y = 3\n", False),
         ("hiersched/deep/__init__.py", "import os\n", False),
         ("hiersched/deep/table.csv", "1,3\n", False),
+        ("hiersched/config/defaults.yaml", "a: 2\n", True),
         ("hiersched/other.py", "z = 4\n", True),
         ("script.py", FILES["script.py"] + "main()\n", False),
     ],
@@ -89,7 +91,7 @@ def test_hash_follows_the_code(tree: Path, name: str, text: str, same: bool) -> 
 
 
 def test_every_script_reaches_what_it_needs(project_root: Path) -> None:
-    scripts = project_root / "workflow" / "scripts"
+    scripts = project_root / "src/hiersched/workflow/scripts"
 
     def reached(name: str) -> set[str]:
         return set(reachable_modules(scripts / f"{name}.py"))

@@ -19,7 +19,7 @@ from hiersched.scenario import Scenario, load_scenario
 
 
 def pendulum(project_root: Path) -> Scenario:
-    scenario = load_scenario(project_root / "config/scenarios/linear_plant.yaml")
+    scenario = load_scenario(project_root / "src/hiersched/config/scenarios/linear_plant.yaml")
     evaluation = replace(
         scenario.evaluate,
         warmup_s=0.2,

@@ -62,7 +62,7 @@ def test_a_log_says_what_it_is(
     assert wanted.items() <= metadata.items()
     (tmp_path / "tiny.yaml").write_bytes(attachments["scenario.yaml"])
     attached = load_scenario(
-        tmp_path / "tiny.yaml", defaults=project_root / "config" / "defaults.yaml"
+        tmp_path / "tiny.yaml", defaults=project_root / "src/hiersched/config" / "defaults.yaml"
     )
     assert attached == tiny
     schedule = json.loads((results / "gains/schedule.json").read_text(encoding="utf-8"))

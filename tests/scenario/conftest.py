@@ -7,7 +7,7 @@ from hiersched.scenario import load_scenario
 
 @pytest.fixture(scope="session")
 def config(project_root):
-    return project_root / "config"
+    return project_root / "src/hiersched/config"
 
 
 @pytest.fixture

@@ -26,17 +26,16 @@ def test_what_cannot_run_is_refused(tmp_path, text, words):
     path = tmp_path / "mine.yaml"
     path.write_text(text)
     with pytest.raises(ScenarioError) as caught:
-        load_scenario(path, defaults=ROOT / "config/defaults.yaml")
+        load_scenario(path, defaults=ROOT / "src/hiersched/config/defaults.yaml")
     for word in [str(path), *words]:
         assert word in str(caught.value)
 
 
-def test_defaults_are_found_above_the_scenario(tmp_path, monkeypatch):
+def test_defaults_are_those_of_the_package(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    assert load_scenario(ROOT / "config/scenarios/smoke.yaml").users.num_urllc == 4
+    assert load_scenario("smoke").users.num_urllc == 4
     lone = tmp_path / "lone.yaml"
     lone.write_text("name: lone\n")
-    with pytest.raises(ScenarioError, match=r"lone\.yaml: no config/defaults\.yaml"):
-        load_scenario(lone)
+    assert load_scenario(lone).radio.num_prb == 25
     with pytest.raises(ScenarioError, match="a folder"):
         load_scenario(tmp_path)

@@ -93,8 +93,8 @@ def write_log() -> Callable[..., Path]:
 def tiny(project_root: Path) -> Scenario:
     """Two robots, one video user, few seeds and values: a study that is written in a second."""
     base = load_scenario(
-        project_root / "config/scenarios/smoke.yaml",
-        defaults=project_root / "config/defaults.yaml",
+        project_root / "src/hiersched/config/scenarios/smoke.yaml",
+        defaults=project_root / "src/hiersched/config/defaults.yaml",
     )
     learning = replace(base.learning, seeds=(1, 2), slots_per_episode=5, num_envs=2, episodes=4)
     return replace(

@@ -367,7 +367,7 @@ def test_what_was_not_run_is_not_judged(frames: Frames, scenario: Scenario) -> N
 
 
 def test_both_files_say_the_same(results: Path, tiny: Scenario, project_root: Path) -> None:
-    write_tables(results, tiny, defaults=project_root / "config/defaults.yaml")
+    write_tables(results, tiny, defaults=project_root / "src/hiersched/config/defaults.yaml")
     written = write_claims(results, tiny)
     assert [path.name for path in written] == ["claims.json", "claims.md"]
     claims = json.loads(written[0].read_text())["claims"]

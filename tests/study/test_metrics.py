@@ -188,8 +188,8 @@ def test_the_recomputed_counts_are_the_simulators(
     from hiersched.simulator import Simulator
 
     scenario = load_scenario(
-        project_root / "config/scenarios/smoke.yaml",
-        defaults=project_root / "config/defaults.yaml",
+        project_root / "src/hiersched/config/scenarios/smoke.yaml",
+        defaults=project_root / "src/hiersched/config/defaults.yaml",
     )
     traffic = replace(scenario.traffic, load=1.05, deadline_s=0.017)
     scenario = replace(scenario, traffic=traffic)

@@ -28,7 +28,9 @@ SKEWED = (
 
 @pytest.fixture(scope="module")
 def tables(results: Path, tiny: Scenario, project_root: Path) -> dict[str, pd.DataFrame]:
-    written = write_tables(results, tiny, defaults=project_root / "config/defaults.yaml")
+    written = write_tables(
+        results, tiny, defaults=project_root / "src/hiersched/config/defaults.yaml"
+    )
     return {path.stem: pd.read_csv(path) for path in written if path.suffix == ".csv"}
 
 
@@ -304,7 +306,7 @@ def test_gains_say_what_is_certified(tables: dict[str, pd.DataFrame]) -> None:
 
 
 def test_parameters_have_unit_and_origin(tiny: Scenario, project_root: Path) -> None:
-    defaults = project_root / "config/defaults.yaml"
+    defaults = project_root / "src/hiersched/config/defaults.yaml"
     table = parameter_table(tiny, defaults).set_index("key")
     assert table.loc["radio.noise_dbm", ["symbol", "value", "unit", "origin"]].tolist() == [
         *["σ²", "-110.0", "dBm", "paper"]

@@ -13,7 +13,7 @@ import pytest
 def rules(project_root: Path) -> dict[str, str]:
     """Text of every rule but `all`, by the name of its script."""
     found = {}
-    for path in sorted((project_root / "workflow" / "rules").glob("*.smk")):
+    for path in sorted((project_root / "src/hiersched/workflow" / "rules").glob("*.smk")):
         text = path.read_text(encoding="utf-8")
         for block in re.split(r"^ *rule\b", text, flags=re.MULTILINE)[1:]:
             name = block.split(":")[0].strip() or re.findall(r'f"(\w+)_', block)[0]
@@ -30,11 +30,11 @@ def test_every_rule_is_complete(project_root: Path) -> None:
         assert re.search(r"\bspec=", block) or "kernels" in name, name
         assert not re.search(r"^\s*(run|script):", block, re.MULTILINE), name
         assert "ancient(" not in block, name
-        assert "{sys.executable}" in block, name
+        assert "{sys.executable:q}" in block, name
 
 
 def test_scripts_are_short(project_root: Path) -> None:
-    scripts = sorted((project_root / "workflow" / "scripts").glob("*.py"))
+    scripts = sorted((project_root / "src/hiersched/workflow" / "scripts").glob("*.py"))
     assert scripts
     for path in scripts:
         assert len(path.read_text(encoding="utf-8").splitlines()) <= 60, path.name
@@ -42,7 +42,7 @@ def test_scripts_are_short(project_root: Path) -> None:
 
 @pytest.mark.parametrize("name", ["default", "slurm"])
 def test_profiles_rerun_what_is_incomplete(project_root: Path, name: str) -> None:
-    text = (project_root / "workflow" / "profiles" / name / "config.yaml").read_text(
+    text = (project_root / "src/hiersched/workflow" / "profiles" / name / "config.yaml").read_text(
         encoding="utf-8"
     )
     assert "rerun-incomplete: true" in text

@@ -19,7 +19,7 @@ from hiersched.scenario import Scenario, load_scenario
 
 pytestmark = pytest.mark.slow
 
-SMOKE = "config/scenarios/smoke.yaml"
+SMOKE = "src/hiersched/config/scenarios/smoke.yaml"
 GROUPS = ("classical", "ddpg", "a2c")
 ALWAYS = {"aggregate", "claims", "figures"}
 DDPG = {"train_ddpg", "evaluate_ddpg", *(f"sweep_{axis}_ddpg" for axis in SWEPT_KEYS)}
@@ -80,9 +80,8 @@ def tree(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the project whose results are stand-ins that Snakemake takes for made."""
     copy = tmp_path_factory.mktemp("project")
     shutil.copy(project_root / "Snakefile", copy)
-    for name in ("config", "workflow", "src"):
-        ignored = shutil.ignore_patterns("__pycache__")
-        shutil.copytree(project_root / name, copy / name, ignore=ignored)
+    ignored = shutil.ignore_patterns("__pycache__")
+    shutil.copytree(project_root / "src", copy / "src", ignore=ignored)
     os.chdir(project_root)
     names = [f"results/smoke/{name}" for name in outputs(load_scenario("smoke"))]
     kernels = re.search(r"results/\.kernels/\w+\.txt", snakemake(copy, "-n"))
@@ -128,8 +127,8 @@ def test_comments_and_the_order_of_keys_run_nothing(tree: Path) -> None:
             "from __future__",
             "# A remark.\n\nfrom __future__",
         ),
-        ("workflow/rules/run.smk", "for s in", "# A remark.\nfor s in"),
-        ("workflow/scripts/train.py", '"""Train', '"""Do train'),
+        ("src/hiersched/workflow/rules/run.smk", "for s in", "# A remark.\nfor s in"),
+        ("src/hiersched/workflow/scripts/train.py", '"""Train', '"""Do train'),
     ):
         assert to_run(tree) == set()
 

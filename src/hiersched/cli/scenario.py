@@ -15,9 +15,7 @@ def add_commands(commands: Any) -> None:
         ("show", _show, "print a scenario with every value in place, as YAML"),
     ):
         action = actions.add_parser(name, help=text, description=text)
-        action.add_argument(
-            "file", metavar="FILE", help="path, or the name of a file in config/scenarios"
-        )
+        action.add_argument("file", metavar="FILE", help="path, or the name of a shipped scenario")
         action.set_defaults(command=command)
 
 

@@ -95,8 +95,15 @@ def _module_file(name: str, package_folder: Path) -> Path | None:
 
 
 def _data_files(modules: dict[str, Path]) -> list[Path]:
-    """Return the files without code in the folders of the packages: schemas and the like."""
-    folders = {path.parent for path in modules.values() if path.name == "__init__.py"}
+    """Return the files without code in the folders of the packages: schemas and the like.
+
+    Those in folders of the package itself, the configuration and the workflow, are no module's.
+    """
+    folders = {
+        path.parent
+        for name, path in modules.items()
+        if path.name == "__init__.py" and name != PACKAGE
+    }
     return sorted(
         path
         for folder in folders

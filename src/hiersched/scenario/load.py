@@ -20,6 +20,8 @@ from hiersched.scenario.plugins import CONFIG, load_plugins
 from hiersched.scenario.reference_file import ReferenceFileError, read_reference
 from hiersched.scenario.schema import Scenario, hold_of
 
+DEFAULTS = CONFIG / "defaults.yaml"
+
 
 class _UniqueKeyLoader(yaml.SafeLoader):
     """PyYAML keeps the last of two equal keys in silence; this loader refuses them."""
@@ -81,7 +83,7 @@ def _merge(base: Mapping[str, Any], overlay: Mapping[str, Any]) -> dict[str, Any
 
 
 def find_scenario(name_or_path: str | Path) -> Path:
-    """Path of a scenario given by name (in config/scenarios) or by path.
+    """Path of a scenario given by the name of a shipped one or by path.
 
     Raises
     ------
@@ -89,31 +91,16 @@ def find_scenario(name_or_path: str | Path) -> Path:
         If there is no such file; the message lists the scenarios that exist.
     """
     path = Path(name_or_path)
-    if path.suffix in (".yaml", ".yml") or path.exists():
-        if path.is_dir():
-            raise ScenarioError(f"{path}: a folder; a scenario is a YAML file")
-        if not path.is_file():
-            raise ScenarioError(f"{path}: no such file")
+    shipped = {file.stem: file for file in sorted((CONFIG / "scenarios").glob("*.yaml"))}
+    if str(name_or_path) in shipped:
+        return shipped[str(name_or_path)]
+    if path.is_dir():
+        raise ScenarioError(f"{path}: a folder; a scenario is a YAML file")
+    if path.is_file():
         return path
-    candidate = CONFIG / "scenarios" / f"{name_or_path}.yaml"
-    if not candidate.is_file():
-        known = sorted(p.stem for p in (CONFIG / "scenarios").glob("*.yaml"))
-        raise ScenarioError(
-            f"{candidate}: no such scenario; there are: {', '.join(known) or 'none'}"
-        )
-    return candidate
-
-
-def _find_defaults(scenario: Path) -> Path:
-    folders = [Path(), *scenario.resolve().parents]
-    candidates = [folder / CONFIG / "defaults.yaml" for folder in folders]
-    found = next((path for path in candidates if path.is_file()), None)
-    if found is None:
-        raise ScenarioError(
-            f"{scenario}: no {CONFIG / 'defaults.yaml'} in the working directory or above the "
-            "file; it holds every key, a scenario only what differs"
-        )
-    return found
+    if path.suffix in (".yaml", ".yml"):
+        raise ScenarioError(f"{path}: no such file")
+    raise ScenarioError(f"{path}: no such scenario; there are: {', '.join(shipped)}")
 
 
 def _read_overlays(path: Path) -> list[tuple[Path, dict[str, Any]]]:
@@ -212,10 +199,9 @@ def load_scenario(name_or_path: str | Path, *, defaults: Path | None = None) -> 
     Parameters
     ----------
     name_or_path
-        Name of a file in ``config/scenarios`` or path of an overlay (or of a resolved scenario).
+        Name of a shipped scenario or path of an overlay (or of a resolved scenario).
     defaults
-        The file with every key. Unless given: ``config/defaults.yaml`` here or, failing that, in
-        the nearest folder above the scenario that has one.
+        The file with every key; that of the package unless given.
 
     Raises
     ------
@@ -225,7 +211,7 @@ def load_scenario(name_or_path: str | Path, *, defaults: Path | None = None) -> 
         allowed.
     """
     path = find_scenario(name_or_path)
-    defaults = defaults if defaults is not None else _find_defaults(path)
+    defaults = DEFAULTS if defaults is None else defaults
     overlays = _read_overlays(path)
     merged = _read_yaml(defaults)
     for _, overlay in reversed(overlays):
@@ -319,7 +305,7 @@ def load_resolved(text: str, origin: Path) -> tuple[Scenario, tuple[str, ...], s
     Raises
     ------
     ScenarioError
-        As `load_scenario`; also where keys are missing and there is no file of defaults.
+        As `load_scenario`.
     """
     written = _parse_yaml(text, origin)
     sha256 = _sha256(written)
@@ -327,9 +313,8 @@ def load_resolved(text: str, origin: Path) -> tuple[Scenario, tuple[str, ...], s
     missing = _missing_keys(data)
     if not missing:
         return _validate(data, [(origin, data)]), (), sha256
-    defaults = _find_defaults(origin)
-    merged = _with_hold(_with_learners(_with_axes(_merge(_read_yaml(defaults), data))))
-    return _validate(merged, [(origin, data), (defaults, {})]), tuple(missing), sha256
+    merged = _with_hold(_with_learners(_with_axes(_merge(_read_yaml(DEFAULTS), data))))
+    return _validate(merged, [(origin, data), (DEFAULTS, {})]), tuple(missing), sha256
 
 
 def _missing_keys(data: Mapping[str, Any]) -> list[str]:

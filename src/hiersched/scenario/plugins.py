@@ -10,14 +10,16 @@ from types import ModuleType
 from hiersched.core.registry import PluginError, load_installed_plugins, load_plugin
 from hiersched.scenario.schema import Scenario
 
-CONFIG = Path("config")
+CONFIG = Path(__file__).resolve().parents[1] / "config"
+"""The defaults of every key, and the shipped scenarios."""
 
 
 def load_plugins(names: Sequence[str], files: Sequence[Path]) -> list[str]:
     """Import what installed packages add, and the files that a scenario names.
 
-    A file is looked for beside the scenario's files, the first one's before the others'. A resolved scenario lies elsewhere, in the
-    results or in a log: for it the working directory and ``config/scenarios`` are searched as well.
+    A file is looked for beside the scenario's files, the first one's before the others'. A
+    resolved scenario lies elsewhere, in the results or in a log: for it the working directory is
+    searched as well.
 
     Returns
     -------
@@ -29,8 +31,9 @@ def load_plugins(names: Sequence[str], files: Sequence[Path]) -> list[str]:
         load_installed_plugins()
     except PluginError as error:
         faults.append(str(error))
-    beside = [file.parent for file in files]
-    folders = tuple(dict.fromkeys((*beside, Path(), CONFIG / "scenarios")))
+    A file is looked for beside the scenario's files, the first one's before the others'. A
+    resolved scenario lies elsewhere, in the results or in a log: for it the working directory is
+    searched as well.
     for place, name in enumerate(names):
         found = next((folder / name for folder in folders if (folder / name).is_file()), None)
         try:

@@ -1,4 +1,4 @@
-"""The parameters of a scenario; `config/defaults.yaml` documents every key."""
+"""The parameters of a scenario; `hiersched/config/defaults.yaml` documents every key."""
 
 from __future__ import annotations
 

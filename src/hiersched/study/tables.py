@@ -208,7 +208,7 @@ def write_tables(
     scenario
         The scenario that was run.
     defaults
-        File with every parameter's meaning, for Table I; ``config/defaults.yaml`` unless given.
+        File with every parameter's meaning, for Table I; that of the package unless given.
 
     Returns
     -------

@@ -24,7 +24,7 @@ for s in SCENARIOS:
             message:
                 f"Measuring the runs of {s.name}: {group}"
             shell:
-                "{sys.executable} {params.args} > {log} 2>&1"
+                "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
 
 
 rule aggregate:
@@ -64,7 +64,7 @@ rule aggregate:
     message:
         "Writing the tables of {wildcards.scenario}"
     shell:
-        "{sys.executable} {params.args} > {log} 2>&1"
+        "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
 
 
 rule figures:
@@ -101,7 +101,7 @@ rule figures:
     message:
         "Drawing the figures of {wildcards.scenario}"
     shell:
-        "{sys.executable} {params.args} > {log} 2>&1"
+        "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
 
 
 rule claims:
@@ -132,4 +132,4 @@ rule claims:
     message:
         "Judging the paper's claims in {wildcards.scenario}"
     shell:
-        "{sys.executable} {params.args} > {log} 2>&1"
+        "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"

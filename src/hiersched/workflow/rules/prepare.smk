@@ -21,7 +21,7 @@ rule resolve:
     message:
         "Writing the resolved scenario {wildcards.scenario}"
     shell:
-        "{sys.executable} {params.args} > {log} 2>&1"
+        "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
 
 
 rule gains:
@@ -40,7 +40,7 @@ rule gains:
     message:
         "Designing gains: {wildcards.scenario}, {wildcards.design}"
     shell:
-        "{sys.executable} {params.args} > {log} 2>&1"
+        "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
 
 
 rule stability:
@@ -61,7 +61,7 @@ rule stability:
     message:
         "Finding the longest delays: {wildcards.scenario}"
     shell:
-        "{sys.executable} {params.args} > {log} 2>&1"
+        "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
 
 
 # Compiling the slot loop takes longer than most jobs run: once, for all of them. The file is named after the code,
@@ -78,4 +78,4 @@ rule kernels:
     message:
         "Compiling the slot loop"
     shell:
-        "{sys.executable} workflow/scripts/kernels.py --output {output} > {log} 2>&1"
+        "{sys.executable:q} {SCRIPTS:q}/kernels.py --output {output} > {log} 2>&1"

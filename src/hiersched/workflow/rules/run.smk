@@ -29,7 +29,7 @@ for s in SCENARIOS:
             message:
                 f"Evaluating policies of {s.name}: {group}"
             shell:
-                "{sys.executable} {params.args} > {log} 2>&1"
+                "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
 
     for axis in SWEPT_KEYS:
         for group in groups_of(s, swept_policies(s, axis)):
@@ -59,7 +59,7 @@ for s in SCENARIOS:
                 message:
                     f"Sweeping {axis} of {s.name}: {group}"
                 shell:
-                    "{sys.executable} {params.args} > {log} 2>&1"
+                    "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
 
     for group in groups_of(s, s.generalise.policies):
         name, more = runner("generalise", group)
@@ -88,7 +88,7 @@ for s in SCENARIOS:
             message:
                 f"Running policies of {s.name} in cells of other sizes: {group}"
             shell:
-                "{sys.executable} {params.args} > {log} 2>&1"
+                "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
 
     rule:
         name:
@@ -114,7 +114,7 @@ for s in SCENARIOS:
         message:
             f"Computing exact optima of {s.name}"
         shell:
-            "{sys.executable} {params.args} > {log} 2>&1"
+            "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
 
     rule:
         name:
@@ -137,7 +137,7 @@ for s in SCENARIOS:
         message:
             f"Running the gain study of {s.name}"
         shell:
-            "{sys.executable} {params.args} > {log} 2>&1"
+            "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
 
     for axis in GAIN_SWEEPS:
 
@@ -164,4 +164,4 @@ for s in SCENARIOS:
             message:
                 f"Running the gain study of {s.name} along {axis}"
             shell:
-                "{sys.executable} {params.args} > {log} 2>&1"
+                "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"

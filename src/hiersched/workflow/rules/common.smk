@@ -5,7 +5,7 @@ import sys
 from pathlib import Path
 
 from hiersched.runs import dependencies, paths
-from hiersched.runs.fingerprint import KERNEL_MODULE, code_fingerprint
+from hiersched.runs.fingerprint import KERNEL_MODULE, PACKAGE_FOLDER, code_fingerprint
 from hiersched.runs.gain_points import GAIN_SWEEPS
 from hiersched.runs.variants import (
     CLASSICAL_GROUP,
@@ -19,12 +19,12 @@ from hiersched.runs.variants import (
 )
 from hiersched.scenario import (
     ScenarioError,
-    find_scenario,
     load_scenario,
     parameter_notes,
 )
 
-SOURCES = {}  # name of a scenario -> its file
+SCRIPTS = PACKAGE_FOLDER / "workflow" / "scripts"
+SOURCES = {}  # name of a scenario -> its file, or its name if it is a shipped one
 
 
 def load_scenarios():
@@ -44,7 +44,7 @@ def load_scenarios():
         if scenario.name in scenarios:
             raise ScenarioError(f"--config scenarios: {scenario.name} stands twice")
         scenarios[scenario.name] = scenario
-        SOURCES[scenario.name] = find_scenario(str(name))
+        SOURCES[scenario.name] = str(name)
     return list(scenarios.values())
 
 
@@ -78,7 +78,7 @@ def whole(names):
 
 
 def script(name):
-    return Path("workflow/scripts") / f"{name}.py"
+    return SCRIPTS / f"{name}.py"
 
 
 def groups_of(scenario, policies):
@@ -108,7 +108,8 @@ def runner(stage, group):
 # No job reads the resolved scenario that `rule resolve` writes: as an input it would make every job run whenever any
 # value changes, and as `ancient` input worse: Snakemake does not look at the parameters of a job whose ancient input
 # is about to be made. Jobs read the scenario file; if it is edited while they run, the next run repeats them.
+# The folder of the scripts is not among the arguments: a package elsewhere does not make jobs run again.
 def arguments(name, scenario, *more):
     """Script and arguments of a job."""
-    given = ["--scenario", str(SOURCES[scenario.name]), "--results", folder(scenario), *more]
-    return " ".join([str(script(name)), *(shlex.quote(word) for word in given)])
+    given = ["--scenario", SOURCES[scenario.name], "--results", folder(scenario), *more]
+    return " ".join([f"{name}.py", *(shlex.quote(word) for word in given)])
