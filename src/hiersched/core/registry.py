@@ -129,7 +129,9 @@ class Registry(Generic[T]):
 def registered_files(part: str) -> set[str]:
     """Return the files that have registered something in a part of the registries."""
     return {
-        registry.origin(name) for registry in _REGISTRIES if registry.part == part
+        registry.origin(name)
+        for registry in _REGISTRIES
+        if registry.part == part
         for name in registry
     }
 

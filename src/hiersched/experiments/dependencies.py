@@ -12,7 +12,7 @@ import sys
 from dataclasses import fields
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hiersched.core.registry import ALGORITHMS, registered_files
 from hiersched.core.seam import outside_files
@@ -24,6 +24,9 @@ from hiersched.policies.imported import ImportedPolicy
 from hiersched.scenario import Scenario, scenario_to_dict
 from hiersched.scenario.plugins import plugin_modules
 from hiersched.scenario.schema import model_at
+
+if TYPE_CHECKING:
+    from hiersched.study.registry import Shown
 
 _SECTIONS = {
     *SECTIONS,
@@ -113,6 +116,11 @@ def sources_sha256(module: ModuleType) -> str:
     for file in sorted({*outside_files(module), str(module.__file__)}):
         digest.update(hashlib.sha256(Path(file).read_bytes()).digest())
     return digest.hexdigest()
+
+
+def outside_sources(thing: Shown) -> dict[str, str]:
+    """Return the hash of what a registered thing of a plug-in consists of; ours stand for itself."""
+    return _outside_hash(sys.modules[thing.module])
 
 
 def stage_spec(stage: str, values: Any, script: Path, *, only: str = "") -> str:

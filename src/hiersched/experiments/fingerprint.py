@@ -18,9 +18,7 @@ KERNEL_MODULE = PACKAGE_FOLDER / "simulator" / "simulator.py"
 
 
 @cache
-def code_fingerprint(
-    script: Path, package_folder: Path = PACKAGE_FOLDER, *, only: str = ""
-) -> str:
+def code_fingerprint(script: Path, package_folder: Path = PACKAGE_FOLDER, *, only: str = "") -> str:
     """SHA-256 of the code that a script can reach.
 
     Parameters

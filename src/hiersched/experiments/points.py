@@ -81,9 +81,7 @@ class ForcedDelays:
     @staticmethod
     def from_json(text: str) -> ForcedDelays:
         """Read them."""
-        return ForcedDelays(
-            **{name: tuple(values) for name, values in json.loads(text).items()}
-        )
+        return ForcedDelays(**{name: tuple(values) for name, values in json.loads(text).items()})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -492,9 +490,7 @@ def trained_learners(scenario: Scenario) -> tuple[str, ...]:
     """
     named = {policy for e in experiments(scenario).values() for policy in e.policies}
     used = [name for name in scenario.learned if name in named]
-    kinds = {
-        (scenario.learned[name].algorithm, scenario.learned[name].start) for name in used
-    }
+    kinds = {(scenario.learned[name].algorithm, scenario.learned[name].start) for name in used}
     return tuple(
         name
         for name, own in scenario.learned.items()

@@ -31,9 +31,7 @@ def load_plugins(names: Sequence[str], files: Sequence[Path]) -> list[str]:
         load_installed_plugins()
     except PluginError as error:
         faults.append(str(error))
-    A file is looked for beside the scenario's files, the first one's before the others'. A
-    resolved scenario lies elsewhere, in the results or in a log: for it the working directory is
-    searched as well.
+    folders = tuple(dict.fromkeys((*(file.parent for file in files), Path())))
     for place, name in enumerate(names):
         found = next((folder / name for folder in folders if (folder / name).is_file()), None)
         try:

@@ -77,7 +77,7 @@ class RunMetrics:
     """Mean over slots of V h of both slices [packets^2]."""
 
 
-_MEASURED = (
+MEASURED = (
     "backlog_packets",
     "arrivals_packets",
     "service_packets",
@@ -93,7 +93,7 @@ _MEASURED = (
     "tracking_error_m",
     "dexterity_index",
 )
-_QUEUES = _MEASURED[:3]
+_QUEUES = MEASURED[:3]
 _PACKETS = ("due_packets", "late_packets")
 
 
@@ -105,7 +105,7 @@ def run_metrics(path: str | os.PathLike[str], scenario: Scenario) -> RunMetrics:
     path
         Log of an evaluation or a sweep, from the first slot on.
     scenario
-        Gives deadlines, reliability levels and window; what a sweep varies is not used.
+        Gives deadlines, reliability levels and window.
 
     Raises
     ------
@@ -113,15 +113,18 @@ def run_metrics(path: str | os.PathLike[str], scenario: Scenario) -> RunMetrics:
         If the log is damaged, or its backlogs or late packets are not those that follow from its
         arrivals and service.
     """
-    return slot_metrics(read_slots(path, _MEASURED), scenario)
+    return slot_metrics(read_slots(path, MEASURED), scenario)
 
 
-def slot_metrics(run: RunSlots, scenario: Scenario) -> RunMetrics:
-    """Measure one run from its slots; see `run_metrics`."""
+def slot_metrics(
+    run: RunSlots, scenario: Scenario, sojourn_s: list[FloatArray] | None = None
+) -> RunMetrics:
+    """Measure one run from its slots, see `run_metrics`; `sojourn_s`: from `checked_sojourns`."""
     urllc, metadata = run.num_urllc, run.metadata
     policy_seed = metadata.get("policy_seed")
-    sojourn_s = _checked_sojourns(run, scenario)
-    fields = {name: run.measured(name) for name in _MEASURED}
+    if sojourn_s is None:
+        sojourn_s = checked_sojourns(run, scenario)
+    fields = {name: run.measured(name) for name in MEASURED}
     rate, backlog = fields["rate_mbps"], fields["backlog_packets"]
     due, late = fields["due_packets"], fields["late_packets"]
     shares = _share(late.sum(axis=0, dtype=np.int64), due.sum(axis=0, dtype=np.int64))
@@ -158,11 +161,6 @@ def slot_metrics(run: RunSlots, scenario: Scenario) -> RunMetrics:
     )
 
 
-def read_sojourns(path: str | os.PathLike[str], scenario: Scenario) -> list[FloatArray]:
-    """Read the sojourn times [s] of delivered packets that arrived behind the warm-up, by user."""
-    return _checked_sojourns(read_slots(path, (*_QUEUES, *_PACKETS)), scenario)
-
-
 def violation_column(level: float) -> str:
     """Return the column with the share of URLLC users that miss a reliability level."""
     return f"urllc_users_violating_{level:g}"
@@ -182,7 +180,7 @@ def metrics_row(metrics: RunMetrics, scenario: Scenario) -> dict[str, Any]:
 
 
 def measured_row(run: RunSlots, scenario: Scenario) -> dict[str, Any]:
-    """Measure a run that has no log: the row that its log would give, a `runs.crossed.Measure`."""
+    """Measure a run that has no log: the row that its log would give."""
     return metrics_row(slot_metrics(run, scenario), scenario)
 
 
@@ -213,8 +211,14 @@ def slots_per_window(scenario: Scenario) -> int:
     return round(scenario.robot.window_s / scenario.radio.slot_s)
 
 
-def _checked_sojourns(run: RunSlots, scenario: Scenario) -> list[FloatArray]:
-    """Return the sojourn times [s] by user, after a check that the run agrees with them."""
+def checked_sojourns(run: RunSlots, scenario: Scenario) -> list[FloatArray]:
+    """Return the sojourn times [s] of delivered packets that arrived behind the warm-up, by user.
+
+    Raises
+    ------
+    LogError
+        If the run's backlogs or late packets do not follow from its arrivals and service.
+    """
     arrivals, service = run.fields["arrivals_packets"], run.fields["service_packets"]
     backlog = backlog_path(arrivals, service)
     if not np.array_equal(backlog[:-1], run.fields["backlog_packets"]):

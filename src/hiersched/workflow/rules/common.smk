@@ -2,26 +2,15 @@
 
 import shlex
 import sys
-from pathlib import Path
 
-from hiersched.runs import dependencies, paths
-from hiersched.runs.fingerprint import KERNEL_MODULE, PACKAGE_FOLDER, code_fingerprint
-from hiersched.runs.gain_points import GAIN_SWEEPS
-from hiersched.runs.variants import (
-    CLASSICAL_GROUP,
-    SWEPT_KEYS,
-    check_variants,
-    gain_designs,
-    group_policies,
-    group_runs,
-    policy_groups,
-    swept_policies,
-)
-from hiersched.scenario import (
-    ScenarioError,
-    load_scenario,
-    parameter_notes,
-)
+from hiersched.experiments import dependencies, files
+from hiersched.experiments.fingerprint import KERNEL_MODULE, PACKAGE_FOLDER, code_fingerprint
+from hiersched.experiments.gains import designs, experiment_designs
+from hiersched.experiments.points import experiments, groups, trained_learners
+from hiersched.scenario import ScenarioError, load_scenario, parameter_notes
+from hiersched.study.measure import measured_files, measured_groups, table_file
+from hiersched.study.registry import CLAIMS, FIGURES, TABLES, shown
+from hiersched.study.study import Study
 
 SCRIPTS = PACKAGE_FOLDER / "workflow" / "scripts"
 SOURCES = {}  # name of a scenario -> its file, or its name if it is a shipped one
@@ -40,7 +29,7 @@ def load_scenarios():
     scenarios = {}
     for name in names:
         scenario = load_scenario(str(name))
-        check_variants(scenario)
+        experiments(scenario)
         if scenario.name in scenarios:
             raise ScenarioError(f"--config scenarios: {scenario.name} stands twice")
         scenarios[scenario.name] = scenario
@@ -53,14 +42,8 @@ try:
 except ScenarioError as error:
     sys.exit(f"error: {error}")
 
-BY_NAME = {scenario.name: scenario for scenario in SCENARIOS}
 NOTES = "\n".join(map(str, parameter_notes()))
 KERNELS = f"results/.kernels/{code_fingerprint(KERNEL_MODULE)[:16]}.txt"
-
-
-wildcard_constraints:
-    scenario="|".join(BY_NAME),
-    design="schedule[a-z0-9._]*",
 
 
 def folder(scenario):
@@ -72,37 +55,17 @@ def inside(scenario, names):
     return [f"{folder(scenario)}/{name}" for name in names]
 
 
-def whole(names):
+def whole(scenario, names):
     """Outputs that must not be empty."""
-    return [ensure(name, non_empty=True) for name in names]
+    return [ensure(name, non_empty=True) for name in inside(scenario, names)]
+
+
+def gain_files(scenario, names):
+    return inside(scenario, map(files.gain_file, names))
 
 
 def script(name):
     return SCRIPTS / f"{name}.py"
-
-
-def groups_of(scenario, policies):
-    """The groups that a list of policies needs."""
-    return [group for group in policy_groups(scenario) if group_policies(scenario, policies, group)]
-
-
-def groups_that_run(scenario):
-    """The groups of which a policy runs anywhere."""
-    return [group for group in policy_groups(scenario) if group_runs(scenario, group)]
-
-
-def weights(scenario, group):
-    """What a group of policies needs of the training."""
-    if group == CLASSICAL_GROUP:
-        return []
-    return inside(scenario, paths.policy_files(scenario, group))
-
-
-def runner(stage, group):
-    """Script of a stage for a group of policies, and its further arguments."""
-    if group == CLASSICAL_GROUP:
-        return f"{stage}_classical", []
-    return f"{stage}_learned", ["--learner", group]
 
 
 # No job reads the resolved scenario that `rule resolve` writes: as an input it would make every job run whenever any
@@ -113,3 +76,11 @@ def arguments(name, scenario, *more):
     """Script and arguments of a job."""
     given = ["--scenario", SOURCES[scenario.name], "--results", folder(scenario), *more]
     return " ".join([f"{name}.py", *(shlex.quote(word) for word in given)])
+
+
+def shown_files(scenario):
+    """Everything that a study shows."""
+    names = [f"figures/{name}.{end}" for name in shown(FIGURES, scenario) for end in ("svg", "png")]
+    names += [f"tables/{name}.csv" for name in shown(TABLES, scenario)]
+    names += files.CLAIMS if shown(CLAIMS, scenario) else []
+    return inside(scenario, names)

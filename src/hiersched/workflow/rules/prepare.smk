@@ -1,67 +1,5 @@
 # The resolved scenario, the gains, the compiled slot loop.
-
-
-localrules:
-    resolve,
-
-
-rule resolve:
-    output:
-        ensure(f"results/{{scenario}}/{paths.SCENARIO}", non_empty=True),
-    log:
-        "results/{scenario}/logs/resolve.log",
-    benchmark:
-        "results/{scenario}/benchmarks/resolve.tsv"
-    threads: 1
-    params:
-        spec=lambda w: dependencies.stage_spec(
-            "resolve", dependencies.scenario_values(BY_NAME[w.scenario]), script("resolve")
-        ),
-        args=lambda w: arguments("resolve", BY_NAME[w.scenario]),
-    message:
-        "Writing the resolved scenario {wildcards.scenario}"
-    shell:
-        "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
-
-
-rule gains:
-    output:
-        ensure("results/{scenario}/gains/{design}.json", non_empty=True),
-    log:
-        "results/{scenario}/logs/gains_{design}.log",
-    benchmark:
-        "results/{scenario}/benchmarks/gains_{design}.tsv"
-    threads: 1
-    params:
-        spec=lambda w: dependencies.stage_spec(
-            "gains", dependencies.gains_values(BY_NAME[w.scenario], w.design), script("gains")
-        ),
-        args=lambda w: arguments("gains", BY_NAME[w.scenario], "--design", w.design),
-    message:
-        "Designing gains: {wildcards.scenario}, {wildcards.design}"
-    shell:
-        "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
-
-
-rule stability:
-    input:
-        lambda w: inside(BY_NAME[w.scenario], paths.stability_gain_files(BY_NAME[w.scenario])),
-    output:
-        ensure(f"results/{{scenario}}/{paths.STABILITY}", non_empty=True),
-    log:
-        "results/{scenario}/logs/stability.log",
-    benchmark:
-        "results/{scenario}/benchmarks/stability.tsv"
-    threads: 1
-    params:
-        spec=lambda w: dependencies.stage_spec(
-            "stability", dependencies.stability_values(BY_NAME[w.scenario]), script("stability")
-        ),
-        args=lambda w: arguments("stability", BY_NAME[w.scenario]),
-    message:
-        "Finding the longest delays: {wildcards.scenario}"
-    shell:
-        "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
+# Shell commands are formatted when a job runs, long after the loops: what differs from rule to rule is in `args`.
 
 
 # Compiling the slot loop takes longer than most jobs run: once, for all of them. The file is named after the code,
@@ -79,3 +17,70 @@ rule kernels:
         "Compiling the slot loop"
     shell:
         "{sys.executable:q} {SCRIPTS:q}/kernels.py --output {output} > {log} 2>&1"
+
+
+for s in SCENARIOS:
+
+    rule:
+        name:
+            f"resolve_{s.name}"
+        output:
+            whole(s, [files.SCENARIO]),
+        log:
+            f"{folder(s)}/logs/resolve.log",
+        threads: 1
+        params:
+            spec=dependencies.stage_spec(
+                "resolve", dependencies.scenario_values(s), script("resolve")
+            ),
+            args=arguments("resolve", s),
+        message:
+            f"Writing the resolved scenario {s.name}"
+        shell:
+            "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
+
+    for design in designs(s):
+
+        rule:
+            name:
+                f"gains_{design}_{s.name}"
+            output:
+                whole(s, [files.gain_file(design)]),
+            log:
+                f"{folder(s)}/logs/gains_{design}.log",
+            benchmark:
+                f"{folder(s)}/benchmarks/gains_{design}.tsv"
+            threads: 1
+            params:
+                spec=dependencies.stage_spec(
+                    "gains", dependencies.gains_values(s, design), script("gains")
+                ),
+                args=arguments("gains", s, "--design", design),
+            message:
+                f"Designing gains of {s.name}: {design}"
+            shell:
+                "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
+
+    if "gain_grid" in experiments(s):
+
+        rule:
+            name:
+                f"stability_{s.name}"
+            input:
+                gain_files(s, experiment_designs(s, experiments(s)["gain_grid"])),
+            output:
+                whole(s, [files.STABILITY]),
+            log:
+                f"{folder(s)}/logs/stability.log",
+            benchmark:
+                f"{folder(s)}/benchmarks/stability.tsv"
+            threads: 1
+            params:
+                spec=dependencies.stage_spec(
+                    "stability", dependencies.stability_values(s), script("stability")
+                ),
+                args=arguments("stability", s),
+            message:
+                f"Finding the longest delays: {s.name}"
+            shell:
+                "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"

@@ -1,16 +1,33 @@
-# Measures of every run, from its log or as its job took them; tables and figures, from measures, logs and stability regions.
+# Measures of every run, from its log or as its job took them; then each table, figure and claim by itself.
+
+
+def shown_spec(scenario, kind, thing):
+    """What a table, figure or claim depends on: the whole scenario and the code of its function."""
+    values = {
+        "scenario": dependencies.scenario_values(scenario, NOTES if kind == "table" else ""),
+        "show": code_fingerprint(script("show")),
+        "beside": dependencies.outside_sources(thing),
+    }
+    name = thing.build.__name__
+    return dependencies.stage_spec(f"{kind} {thing.name}", values, thing.file, only=name)
+
+
+def show_arguments(scenario, kind, thing):
+    given = ("--kind", kind, "--name", thing.name, "--module", thing.module)
+    return arguments("show", scenario, *given)
+
 
 for s in SCENARIOS:
-    for group in groups_that_run(s):
+    for group, tables in measured_groups(s).items():
 
         rule:
             name:
                 f"measure_{group}_{s.name}"
             input:
                 kernels=KERNELS,
-                runs=inside(s, paths.measured_files(s, group)),
+                runs=inside(s, measured_files(s, group)),
             output:
-                ensure(f"{folder(s)}/{paths.measures_file(group)}", non_empty=True),
+                whole(s, [table_file(table, group) for table in tables]),
             log:
                 f"{folder(s)}/logs/measure_{group}.log",
             benchmark:
@@ -26,110 +43,109 @@ for s in SCENARIOS:
             shell:
                 "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
 
+    for thing in shown(TABLES, s).values():
 
-rule aggregate:
-    input:
-        measures=lambda w: inside(BY_NAME[w.scenario], paths.measures_files(BY_NAME[w.scenario])),
-        logs=lambda w: inside(BY_NAME[w.scenario], paths.all_logs(BY_NAME[w.scenario])),
-        bound=f"results/{{scenario}}/{paths.BOUND}",
-        stability=f"results/{{scenario}}/{paths.STABILITY}",
-    output:
-        csv=[
-            report(
-                ensure(f"results/{{scenario}}/tables/{name}.csv", non_empty=True),
-                caption="../report/table.rst",
-                category="{scenario}",
-                subcategory="Tables",
-                labels={"table": name},
-            )
-            for name in paths.TABLES
-        ],
-        markdown=[
-            ensure(f"results/{{scenario}}/tables/{name}.md", non_empty=True)
-            for name in paths.TABLES
-        ],
-        runs=ensure(f"results/{{scenario}}/{paths.RUNS}", non_empty=True),
-    log:
-        "results/{scenario}/logs/aggregate.log",
-    benchmark:
-        "results/{scenario}/benchmarks/aggregate.tsv"
-    threads: 1
-    params:
-        spec=lambda w: dependencies.stage_spec(
-            "aggregate",
-            dependencies.scenario_values(BY_NAME[w.scenario], NOTES),
-            script("aggregate"),
-        ),
-        args=lambda w: arguments("aggregate", BY_NAME[w.scenario]),
-    message:
-        "Writing the tables of {wildcards.scenario}"
-    shell:
-        "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
+        rule:
+            name:
+                f"table_{thing.name}_{s.name}"
+            input:
+                inside(s, Study.sources(s, thing.reads)),
+            output:
+                csv=report(
+                    ensure(f"{folder(s)}/tables/{thing.name}.csv", non_empty=True),
+                    caption="../report/table.rst",
+                    category=s.name,
+                    subcategory="Tables",
+                    labels={"table": thing.name},
+                ),
+                markdown=(
+                    [] if thing.columns == () else whole(s, [f"tables/{thing.name}.md"])
+                ),
+            log:
+                f"{folder(s)}/logs/table_{thing.name}.log",
+            threads: 1
+            params:
+                spec=shown_spec(s, "table", thing),
+                caption=thing.title,
+                args=show_arguments(s, "table", thing),
+            message:
+                f"Writing table {thing.name} of {s.name}"
+            shell:
+                "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
 
+    for thing in shown(FIGURES, s).values():
 
-rule figures:
-    input:
-        measures=lambda w: inside(BY_NAME[w.scenario], paths.measures_files(BY_NAME[w.scenario])),
-        logs=lambda w: inside(BY_NAME[w.scenario], paths.all_logs(BY_NAME[w.scenario])),
-        bound=f"results/{{scenario}}/{paths.BOUND}",
-        stability=f"results/{{scenario}}/{paths.STABILITY}",
-    output:
-        svg=[
-            report(
-                ensure(f"results/{{scenario}}/figures/{name}.svg", non_empty=True),
-                caption=f"../report/{name}.rst",
-                category="{scenario}",
-                subcategory="Figures",
-                labels={"figure": name},
-            )
-            for name in paths.FIGURES
-        ],
-        png=[
-            ensure(f"results/{{scenario}}/figures/{name}.png", non_empty=True)
-            for name in paths.FIGURES
-        ],
-    log:
-        "results/{scenario}/logs/figures.log",
-    benchmark:
-        "results/{scenario}/benchmarks/figures.tsv"
-    threads: 1
-    params:
-        spec=lambda w: dependencies.stage_spec(
-            "figures", dependencies.scenario_values(BY_NAME[w.scenario]), script("figures")
-        ),
-        args=lambda w: arguments("figures", BY_NAME[w.scenario]),
-    message:
-        "Drawing the figures of {wildcards.scenario}"
-    shell:
-        "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
+        rule:
+            name:
+                f"figure_{thing.name}_{s.name}"
+            input:
+                inside(s, Study.sources(s, thing.reads)),
+            output:
+                svg=report(
+                    ensure(f"{folder(s)}/figures/{thing.name}.svg", non_empty=True),
+                    caption="../report/figure.rst",
+                    category=s.name,
+                    subcategory="Figures",
+                    labels={"figure": thing.name},
+                ),
+                png=whole(s, [f"figures/{thing.name}.png"]),
+            log:
+                f"{folder(s)}/logs/figure_{thing.name}.log",
+            threads: 1
+            params:
+                spec=shown_spec(s, "figure", thing),
+                caption=thing.title,
+                args=show_arguments(s, "figure", thing),
+            message:
+                f"Drawing figure {thing.name} of {s.name}"
+            shell:
+                "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
 
+    for thing in shown(CLAIMS, s).values():
 
-rule claims:
-    input:
-        measures=lambda w: inside(BY_NAME[w.scenario], paths.measures_files(BY_NAME[w.scenario])),
-        logs=lambda w: inside(BY_NAME[w.scenario], paths.claim_logs(BY_NAME[w.scenario])),
-    output:
-        [
-            report(
-                ensure(f"results/{{scenario}}/{name}", non_empty=True),
-                caption="../report/claims.rst",
-                category="{scenario}",
-                subcategory="Claims",
-                labels={"claims": name},
-            )
-            for name in paths.CLAIMS
-        ],
-    log:
-        "results/{scenario}/logs/claims.log",
-    benchmark:
-        "results/{scenario}/benchmarks/claims.tsv"
-    threads: 1
-    params:
-        spec=lambda w: dependencies.stage_spec(
-            "claims", dependencies.scenario_values(BY_NAME[w.scenario]), script("claims")
-        ),
-        args=lambda w: arguments("claims", BY_NAME[w.scenario]),
-    message:
-        "Judging the paper's claims in {wildcards.scenario}"
-    shell:
-        "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
+        rule:
+            name:
+                f"{thing.name}_{s.name}"
+            input:
+                inside(s, Study.sources(s, thing.reads)),
+            output:
+                whole(s, [f"claims/{thing.name}.json"]),
+            log:
+                f"{folder(s)}/logs/{thing.name}.log",
+            threads: 1
+            params:
+                spec=shown_spec(s, "claim", thing),
+                args=show_arguments(s, "claim", thing),
+            message:
+                f"Judging {thing.name} in {s.name}"
+            shell:
+                "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
+
+    if shown(CLAIMS, s):
+
+        rule:
+            name:
+                f"claims_{s.name}"
+            input:
+                inside(s, [f"claims/{name}.json" for name in shown(CLAIMS, s)]),
+            output:
+                [
+                    report(
+                        ensure(name, non_empty=True),
+                        caption="../report/claims.rst",
+                        category=s.name,
+                        subcategory="Claims",
+                        labels={"claims": name},
+                    )
+                    for name in inside(s, files.CLAIMS)
+                ],
+            log:
+                f"{folder(s)}/logs/claims.log",
+            threads: 1
+            params:
+                spec=dependencies.stage_spec("claims", s.name, script("claims")),
+                args=arguments("claims", s, "--names", ",".join(shown(CLAIMS, s))),
+            message:
+                f"Putting the claims of {s.name} together"
+            shell:
+                "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"

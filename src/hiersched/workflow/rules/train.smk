@@ -1,19 +1,18 @@
 # Training: all seeds of a learner side by side in one job. Its progress also goes to the terminal.
 
 for s in SCENARIOS:
-    for learner in s.learned:
+    for learner in trained_learners(s):
 
         rule:
             name:
                 f"train_{learner}_{s.name}"
             input:
                 kernels=KERNELS,
-                gains=f"{folder(s)}/{paths.gain_file('schedule')}",
+                gains=gain_files(s, ["schedule"]),
             output:
-                policies=whole(inside(s, paths.policy_files(s, learner))),
-                logs=whole(inside(s, paths.training_logs(s, learner))),
-                checkpoints=whole(inside(s, paths.checkpoint_logs(s, learner))),
-                progress=ensure(f"{folder(s)}/{paths.progress_file(learner)}", non_empty=True),
+                policies=whole(s, files.policy_files(s, learner)),
+                logs=whole(s, files.learner_logs(s, learner)),
+                progress=whole(s, [files.progress_file(learner)]),
             log:
                 f"{folder(s)}/logs/train_{learner}.log",
             benchmark:

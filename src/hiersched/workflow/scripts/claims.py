@@ -1,19 +1,8 @@
-"""Judge the paper's claims from the tables and logs of a study."""
+"""Put the claims of a study together."""
 
-import argparse
-from pathlib import Path
-
-from hiersched.scenario import load_scenario
-from hiersched.study.claims_report import write_claims
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scenario", type=Path, required=True)
-    parser.add_argument("--results", type=Path, required=True)
-    args = parser.parse_args()
-    write_claims(args.results, load_scenario(args.scenario))
-
+from hiersched.experiments.job import job
+from hiersched.study.claims.report import join_claims
 
 if __name__ == "__main__":
-    main()
+    scenario, results, given = job(__doc__, "names")
+    join_claims(scenario, results, given.names.split(","))

@@ -3,19 +3,14 @@
 import argparse
 from pathlib import Path
 
-from hiersched.runs import paths
-from hiersched.study.claims_report import insert_table
+from hiersched.experiments import files
+from hiersched.study.claims.report import insert_table
 
-
-def main() -> None:
+if __name__ == "__main__":
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--results", type=Path, required=True)
     parser.add_argument("--readme", type=Path, default=Path("README.md"))
-    args = parser.parse_args()
-    claims = (args.results / paths.CLAIMS[0]).read_text(encoding="utf-8")
-    text = insert_table(args.readme.read_text(encoding="utf-8"), claims)
-    args.readme.write_text(text, encoding="utf-8")
-
-
-if __name__ == "__main__":
-    main()
+    given = parser.parse_args()
+    claims = (given.results / files.CLAIMS[0]).read_text(encoding="utf-8")
+    text = insert_table(given.readme.read_text(encoding="utf-8"), claims)
+    given.readme.write_text(text, encoding="utf-8")

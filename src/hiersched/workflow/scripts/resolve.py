@@ -1,23 +1,10 @@
 """Write the resolved scenario: defaults and overlay in one file."""
 
-import argparse
-import os
-from pathlib import Path
-
-from hiersched.runs import paths
-from hiersched.scenario import load_scenario, scenario_to_yaml
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scenario", type=Path, required=True)
-    parser.add_argument("--results", type=Path, required=True)
-    args = parser.parse_args()
-    output = args.results / paths.SCENARIO
-    part = output.with_name(output.name + ".part")
-    part.write_text(scenario_to_yaml(load_scenario(args.scenario)), encoding="utf-8")
-    os.replace(part, output)
-
+from hiersched.core.files import write_bytes
+from hiersched.experiments import files
+from hiersched.experiments.job import job
+from hiersched.scenario import scenario_to_yaml
 
 if __name__ == "__main__":
-    main()
+    scenario, results, _ = job(__doc__)
+    write_bytes(results / files.SCENARIO, scenario_to_yaml(scenario).encode())

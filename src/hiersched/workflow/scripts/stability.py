@@ -1,19 +1,8 @@
-"""Find the longest delay of every loop of the gain study."""
+"""Find the longest delays of the loops of the gain study."""
 
-import argparse
-from pathlib import Path
-
-from hiersched.runs.stability import write_stability
-from hiersched.scenario import load_scenario
-
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--scenario", type=Path, required=True)
-    parser.add_argument("--results", type=Path, required=True)
-    args = parser.parse_args()
-    write_stability(load_scenario(args.scenario), args.results)
-
+from hiersched.experiments.job import job
+from hiersched.experiments.stability import write_stability
 
 if __name__ == "__main__":
-    main()
+    scenario, results, _ = job(__doc__)
+    write_stability(scenario, results)

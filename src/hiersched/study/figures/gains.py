@@ -1,0 +1,455 @@
+"""The gain study: Table II as a figure, the grid of weight and delay, sweeps, regions, traces."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm
+from matplotlib.figure import Figure
+from matplotlib.image import AxesImage
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+
+from hiersched.experiments.points import STUDY_PLANTS
+from hiersched.policies.registry import Look
+from hiersched.study.fifo import FloatArray
+from hiersched.study.figures.style import (
+    GAIN_METHODS,
+    GREY,
+    PAPER_COLOR,
+    caption,
+    draw_series,
+    log_ticks,
+    new_figure,
+    shared_legend,
+)
+from hiersched.study.metrics import OFF_TRACK_CM
+from hiersched.study.registry import figure, has_gain_study
+from hiersched.study.statistics import mean_interval
+from hiersched.study.study import Study
+from hiersched.study.tables.gains import (
+    gain_table,
+    grid_table,
+    has_gain_grid,
+    has_gain_sweeps,
+    stability_frame,
+    sweeps_table,
+)
+
+_PAIR = (
+    ("nominal_cm", GAIN_METHODS["nominal"]),
+    ("adjusted_cm", Look("adjusted gain", "#0072B2", "-", "o")),
+)
+_SPREAD = 0.13
+"""Distance between the methods' points at one slot."""
+
+
+@figure(
+    "figX_gain",
+    title="Table II as a figure: tracking error in the windows of violated delay, nominal "
+    "against adjusted gain, mean and 95 % interval over seeds, with the paper's ratios as "
+    "stars.",
+    reads=("windows",),
+    when=has_gain_study,
+)
+def draw_gain(study: Study) -> Figure:
+    """Draw the tracking error of every window, and adjusted over nominal where delays violate."""
+    scenario, gains = study.scenario, gain_table(study)
+    figure, (left, right) = new_figure(width_ratios=[1.5, 1.0])
+    method, plant = str(gains["method"].iloc[0]), str(gains["plant"].iloc[0])
+    own = gains[gains["method"] == method]
+    for column, look in _PAIR:
+        bounds = own[f"{column}_lo"], own[f"{column}_hi"]
+        draw_series(left, own["slot"], own[column], *bounds, look)
+    for slot in scenario.gain_study.violation_windows:
+        left.axvspan(slot - 0.5, slot + 0.5, color="#dddddd", zorder=0, linewidth=0)
+    left.set_ylim(bottom=0.0)
+    left.set_xlim(0.3, scenario.gain_study.num_windows + 0.7)
+    left.set_title(f"(a) tracking error, {plant} plant, {GAIN_METHODS[method].label} gains")
+    left.set_xticks([1, *range(5, scenario.gain_study.num_windows + 1, 5)])
+    left.set_xlabel(f"time slot (window of {scenario.robot.window_s:g} s)")
+    left.set_ylabel("RMS over the window [cm]")
+    shared_legend(figure, left)
+    violated = gains[gains["violated"]]
+    slots = sorted(violated["slot"].unique())
+    groups = list(violated.groupby("method", sort=False))
+    for number, (name, group) in enumerate(groups):
+        look = GAIN_METHODS[str(name)]._replace(dashes="none")
+        shift = _SPREAD * (number - 0.5 * (len(groups) - 1))
+        x = [slots.index(slot) + shift for slot in group["slot"]]
+        bounds = group["ratio_lo"], group["ratio_hi"]
+        label = look.label if group["plant"].iloc[0] == plant else f"{look.label}, split plant"
+        draw_series(right, x, group["ratio"], *bounds, look, label=label)
+    paper = violated[violated["method"] == method]
+    right.plot(
+        [slots.index(slot) for slot in paper["slot"]],
+        paper["paper_ratio"],
+        linestyle="none",
+        marker="*",
+        markersize=9,
+        color=PAPER_COLOR,
+        label="paper",
+        zorder=4,
+    )
+    right.axhline(1.0, color="#5f5f5f", linewidth=0.9)
+    right.set_xticks(range(len(slots)), [str(slot) for slot in slots])
+    right.set_xlim(-0.5, len(slots) - 0.5)
+    top = float(violated["ratio_hi"].replace(np.inf, np.nan).max())
+    right.set_ylim(0.0, 1.2 if np.isnan(top) else max(1.2, 1.05 * top))
+    lowest, highest = paper["ratio"].min(), paper["ratio"].max()
+    right.set_title(f"(b) all methods; {GAIN_METHODS[method].label}: {lowest:.2f} to {highest:.2f}")
+    right.set_xlabel("time slot of violated delay")
+    right.set_ylabel("error, adjusted / nominal [1]")
+    right.legend(
+        ncols=2,
+        loc="lower left",
+        fontsize=6.2,
+        handletextpad=0.3,
+        columnspacing=0.6,
+        handlelength=1.6,
+        borderaxespad=0.0,
+    )
+    caption(
+        figure,
+        f"Mean over robots and {len(scenario.gain_study.seeds)} seeds; bars: 95 % intervals, "
+        "Student t, in (b) of the logarithm. Grey: violated delay. Each gain follows the delay. "
+        f"Stars: the paper's Table II.{_missing_bars(violated)}",
+    )
+    return figure
+
+
+def _missing_bars(violated: pd.DataFrame) -> str:
+    """Say why points in (b) have no bar, where some have none."""
+    bounded = np.isfinite(violated["ratio_lo"]) & np.isfinite(violated["ratio_hi"])
+    width = violated["ratio_hi"] - violated["ratio_lo"]
+    equal = bounded & (violated["ratio"] == 1.0) & (width < 1e-9)
+    reasons = (
+        ("both gains give the same errors", equal),
+        ("the interval is unbounded", np.isinf(violated["ratio_lo"])),
+    )
+    return "".join(
+        f" No bar ({', '.join(GAIN_METHODS[m].label for m in violated['method'][rows].unique())}): "
+        f"{reason}."
+        for reason, rows in reasons
+        if rows.any()
+    )
+
+
+_SHOWN: dict[str, Any] = {"aspect": "auto", "origin": "lower", "interpolation": "nearest"}
+_LEAST_SPAN = 1.25
+"""The map's colours reach at least from 1/1.25 to 1.25: noise around 1 stays pale."""
+
+
+@figure(
+    "figX_gain_grid",
+    title="Tracking error with the adjusted gain over that with the nominal one, for each "
+    "weight q of the regulator and each constant delay in the violated window, in the "
+    "same worlds; right, the nominal gain's own error.",
+    reads=("windows", "schedules"),
+    when=has_gain_grid,
+)
+def draw_gain_grid(study: Study) -> Figure:
+    """Draw the ratio of errors over the grid, and the nominal loop's own error."""
+    scenario, grid = study.scenario, grid_table(study)
+    figure, (left, right) = new_figure(height_in=3.4, width_ratios=[1.7, 1.0])
+    weights = list(dict.fromkeys(grid["weight"]))
+    delays = list(dict.fromkeys(grid["delay_s"]))
+    cells = grid.set_index(["weight", "delay_s"]).loc[[(q, d) for q in weights for d in delays]]
+    shape = len(weights), len(delays)
+    ratio = cells["ratio"].to_numpy().reshape(shape)
+    error = cells["nominal_cm"].to_numpy().reshape(shape)
+    span = _span(ratio)
+    ratios = left.imshow(ratio, cmap="PuOr", norm=LogNorm(1.0 / span, span), **_SHOWN)
+    errors = right.imshow(error, cmap="Greys", vmin=0.0, vmax=2.0 * error.max(), **_SHOWN)
+    for place, cell in zip(np.ndindex(*shape), cells.to_dict("records"), strict=True):
+        _mark_effect(left, place, str(cell["effect"]), _ratio_text(cell), _ink(ratios, place))
+        _write(right, place, _error_text(cell), _ink(errors, place))
+    for axes in (left, right):
+        _label_axes(axes, weights, delays)
+    left.set_title("(a) error, adjusted / nominal [1]")
+    right.set_title("(b) nominal gain: error [cm]")
+    bar = figure.colorbar(ratios, ax=left, shrink=0.9, pad=0.02)
+    bar.set_ticks([1.0 / span, 1.0, span], labels=[f"{t:.2f}" for t in (1.0 / span, 1.0, span)])
+    bar.minorticks_off()
+    control, own = scenario.control, scenario.gain_study
+    caption(
+        figure,
+        f"{GAIN_METHODS[control.method].label} gains, {scenario.plant_name} plant, h = "
+        f"{1e3 * control.sampling_s:g} ms. Means over {own.sweep_robots} robots and "
+        f"{len(own.seeds)} seeds in windows of constant violated delay, with 95 % "
+        "intervals. Bold: the interval excludes 1. Hatched: the nominal gain stays in force, the "
+        f"ratio is exactly 1. {_trouble(grid)}",
+    )
+    return figure
+
+
+def _span(ratio: FloatArray) -> float:
+    """Return s so that the colours go from 1/s to s and hold every ratio."""
+    usable = ratio[np.isfinite(ratio) & (ratio > 0.0)]
+    return float(np.exp(np.abs(np.log(usable)).max(initial=np.log(_LEAST_SPAN))))
+
+
+def _ink(image: AxesImage, place: tuple[int, ...]) -> str:
+    """Return black or white, whichever reads better on a cell."""
+    values = np.asarray(image.get_array())
+    red, green, blue, _ = image.cmap(image.norm(values[place]))
+    return "black" if 0.3 * red + 0.59 * green + 0.11 * blue > 0.5 else "white"
+
+
+def _label_axes(axes: Axes, weights: list[float], delays: list[float]) -> None:
+    axes.grid(False)
+    axes.set_xticks(range(len(delays)), [f"{1e3 * delay:g}" for delay in delays])
+    axes.set_yticks(range(len(weights)), [f"{weight:g}" for weight in weights])
+    axes.tick_params(length=0)
+    axes.set_xlabel("delay in violated slots [ms]")
+    axes.set_ylabel("weight q [1]")
+
+
+def _write(axes: Axes, place: tuple[int, ...], text: str, ink: str, **options: Any) -> None:
+    options |= {"ha": "center", "va": "center", "fontsize": 6.5, "linespacing": 1.3}
+    axes.text(place[1], place[0], text, color=ink, **options)
+
+
+def _mark_effect(axes: Axes, place: tuple[int, ...], effect: str, text: str, ink: str) -> None:
+    """Write a ratio into its cell: bold where it differs from 1; hatched where gains are equal."""
+    if effect == "same gain":
+        corner = place[1] - 0.5, place[0] - 0.5
+        look: dict[str, Any] = {
+            "facecolor": "none",
+            "edgecolor": "#bbbbbb",
+            "hatch": "////",
+            "linewidth": 0.0,
+        }
+        axes.add_patch(Rectangle(corner, 1.0, 1.0, **look))
+        _write(axes, place, "1", ink, bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0})
+    else:
+        weight = "bold" if effect in ("helps", "hurts") else "normal"
+        _write(axes, place, text, ink, fontweight=weight)
+
+
+def _ratio_text(cell: dict[Hashable, Any]) -> str:
+    lo, hi = cell["ratio_lo"], cell["ratio_hi"]
+    if not (np.isfinite(lo) and np.isfinite(hi)):
+        return f"{cell['ratio']:.2f}\nunbounded"
+    digits = 2 if hi - lo >= 0.02 else 3
+    return f"{cell['ratio']:.{digits}f}\n{lo:.{digits}f}–{hi:.{digits}f}"
+
+
+def _error_text(cell: dict[Hashable, Any]) -> str:
+    off = cell["nominal_off_track_share"]
+    return f"{cell['nominal_cm']:.2f}" + (f"\n{100.0 * off:.0f} % off" if off > 0.0 else "")
+
+
+def _trouble(grid: pd.DataFrame) -> str:
+    """Say how many robots got into trouble: they are in the means, whatever their errors."""
+    worst = {
+        name: max(float(grid[f"{gain}_{name}_share"].max()) for gain in ("nominal", "adjusted"))
+        for name in ("off_track", "saturated")
+    }
+    return (
+        f"Robots over {OFF_TRACK_CM:g} cm in a window: at most {100.0 * worst['off_track']:.0f} % "
+        f"in any cell; at their limits for half a window: {100.0 * worst['saturated']:.0f} %. "
+        "All are in the means."
+    )
+
+
+_CRITERIA = {
+    "exact": Look("nominal gain, exact (constant delay)", "#000000", "-", "o"),
+    "c3": Look("nominal gain, C3", "#0072B2", (0, (4, 1.5)), "s"),
+    "c2": Look("nominal gain, C2", "#CC79A7", (0, (1, 1.2)), "D"),
+    "c1": Look("nominal gain, C1", "#009E73", (0, (6, 1.5, 1, 1.5)), "^"),
+    "adjusted": Look("adjusted gain, exact", "#D55E00", (0, (3, 1, 1, 1)), "v"),
+}
+_SHIFT = 0.009
+"""Distance between the criteria's markers, as a share of the axis."""
+
+
+@figure(
+    "figX_gain_sweeps",
+    title="First unstable delay of the nominal loop against the sampling interval; the ratio of "
+    "tracking errors, adjusted over nominal, against the sampling interval and against "
+    "the measurement noise.",
+    reads=("windows", "schedules", "stability"),
+    when=has_gain_sweeps,
+)
+def draw_gain_sweeps(study: Study) -> Figure:
+    """Draw first unstable delay and ratio over the sampling interval, ratio over the noise."""
+    scenario, sweeps = study.scenario, sweeps_table(study)
+    figure, (left, middle, right) = new_figure(3)
+    own = scenario.gain_study
+    look = GAIN_METHODS[scenario.control.method]._replace(dashes=(0, (1, 2)))
+    sampling, noise = (sweeps[sweeps["axis"] == axis] for axis in ("sampling_s", "noise"))
+    h_ms = 1e3 * sampling["sampling_s"].to_numpy()
+    low, high = (1e3 * bound for bound in own.violation_delay_s)
+    left.axhspan(low, high, color="#dddddd", zorder=0, linewidth=0)
+    _draw_unstable(left, h_ms, 1e3 * sampling["first_unstable_delay_s"].to_numpy(), high)
+    top = float(sweeps["ratio_hi"].replace(np.inf, np.nan).max())
+    for axes, rows, x in ((middle, sampling, h_ms), (right, noise, np.arange(len(noise)))):
+        draw_series(axes, x, rows["ratio"], rows["ratio_lo"], rows["ratio_hi"], look)
+        axes.axhline(1.0, color=GREY, linewidth=0.9)
+        axes.set_ylim(0.0, 1.2 if np.isnan(top) else max(1.2, 1.05 * top))
+        axes.set_ylabel("error, adjusted / nominal [1]")
+    for axes in (left, middle):
+        log_ticks(axes, h_ms.tolist())
+        axes.set_xlabel("sampling interval h [ms]")
+    pairs = zip(noise["noise_position_m"], noise["noise_heading_rad"], strict=True)
+    labels = [f"{1e3 * p:g} mm\n{1e3 * a:g} mrad" for p, a in pairs]
+    right.set_xticks(range(len(noise)), labels, fontsize=6.5)
+    right.set_xlim(-0.4, len(noise) - 0.6)
+    right.set_xlabel("measurement noise")
+    left.set_title("(a) nominal loop")
+    middle.set_title("(b) ratio against h")
+    right.set_title("(c) ratio against noise")
+    caption(
+        figure,
+        f"q = {scenario.control.weight:g}, {scenario.plant_name} plant, {look.label} gains. "
+        f"Grey: the violated delays of (b) and (c), uniform in {low:g} to {high:g} ms. Means over "
+        f"{own.sweep_robots} robots and {len(own.seeds)} seeds, 95 % "
+        "intervals. (a): spectral radius of the lifted system, delays in whole samples.",
+    )
+    return figure
+
+
+@figure(
+    "figX_gain_stability",
+    title="Longest delay against the weight q: of the nominal gain, exact and by the conditions "
+    "C1, C2 and C3, and of the adjusted gain.",
+    reads=("stability",),
+    when=has_gain_grid,
+)
+def draw_gain_stability(study: Study) -> Figure:
+    """Draw the longest delay against the weight, by each criterion and plant."""
+    scenario, regions = study.scenario, stability_frame(study)
+    own = regions[regions["axis"] == "weight"]
+    plants = list(dict.fromkeys(own["plant"]))
+    figure, panels = new_figure(len(plants), sharey=True)
+    longest_ms = 1e3 * float((own["max_delay_steps"] * own["sampling_s"]).max())
+    step = _SHIFT * max(1.0, float(np.ptp(own["value"])))
+    for axes, plant, name in zip(panels, plants, "abcdef", strict=False):
+        for number, (criterion, look) in enumerate(_CRITERIA.items()):
+            rows = own[(own["plant"] == plant) & (own["criterion"] == criterion)]
+            if len(rows):
+                _draw_region(axes, rows, look, step * (number - 2))
+        axes.set_title(f"({name}) {plant} plant")
+        axes.set_xticks(sorted(set(own["value"])))
+        axes.set_xlabel("weight q [1]")
+        axes.set_ylabel("longest delay [ms]")
+        axes.set_ylim(-0.07 * longest_ms, 1.12 * longest_ms)
+    fullest = max(panels, key=lambda axes: len(axes.get_legend_handles_labels()[0]))
+    shared_legend(figure, fullest, columns=3)
+    delay_ms = 1e3 * max(scenario.gain_study.fixed_delay_s)
+    caption(
+        figure,
+        f"Delays in whole samples of {1e3 * scenario.control.sampling_s:g} ms; open markers: "
+        f"{longest_ms:g} ms or more, no longer delay was tried. Markers are shifted sideways to "
+        "show all. Exact: spectral radius of the lifted system below 1 at every constant delay up "
+        "to this one. C1, C2, C3: certified for every sequence of delays up to this one; C1, where "
+        "it holds, for any delay, and where it is missing, for none. Adjusted: the gain designed "
+        f"for {delay_ms:g} ms. network: all feedback is delayed; split: "
+        f"{100 * scenario.control.operator_share:g} % of the gain on the pose.",
+    )
+    return figure
+
+
+@figure(
+    "figX_gain_traces",
+    title="Tracking error slot by slot through a violation (grey), with the nominal gain and "
+    "with the gains of every method.",
+    reads=("slots",),
+    when=has_gain_study,
+)
+def draw_gain_traces(study: Study) -> Figure:
+    """Draw the tracking error slot by slot through a violation, nominal and every method."""
+    scenario = study.scenario
+    slots = study.measures("slots")
+    traces = slots[slots["experiment"] == "gain_study"]
+    nominal = traces["gain"] == "nominal"
+    plant_of_method = traces["value"].map(STUDY_PLANTS)
+    traces = traces.assign(method=traces["value"].mask(nominal, "nominal"), plant=plant_of_method)
+    plants = list(dict.fromkeys(traces["plant"]))
+    ratios = [1.6, *[1.0] * (len(plants) - 1)]
+    figure, panels = new_figure(len(plants), sharey=True, width_ratios=ratios, height_in=3.1)
+    gain_study, slot_s = scenario.gain_study, scenario.radio.slot_s
+    for axes, plant, name in zip(panels, plants, "abcdef", strict=False):
+        own = traces[traces["plant"] == plant]
+        axes.axvspan(0.0, scenario.robot.window_s, color="#dddddd", zorder=0, linewidth=0)
+        for method, rows in own.groupby("method", sort=False):
+            look = GAIN_METHODS[str(method)]
+            by_slot = rows.pivot(index="slot", columns="seed", values="error_cm")
+            intervals = np.array([mean_interval(row) for row in by_slot.to_numpy()])
+            x = (by_slot.index.to_numpy() + 0.5) * slot_s
+            axes.plot(x, intervals[:, 0], color=look.color, linestyle=look.dashes, label=look.label)
+            axes.fill_between(
+                x, intervals[:, 1], intervals[:, 2], color=look.color, alpha=0.15, linewidth=0
+            )
+        axes.set_title(f"({name}) {plant} plant")
+        axes.set_xlabel("time since the violation began [s]")
+        axes.set_ylabel("error, RMS over robots [cm]")
+        axes.set_ylim(bottom=0.0)
+        axes.margins(x=0.01)
+    _legend_of_all(figure, panels)
+    low, high = (1e3 * bound for bound in gain_study.violation_delay_s)
+    calm = [f"{1e3 * bound:g}" for bound in gain_study.calm_delay_s]
+    caption(
+        figure,
+        f"Window {min(gain_study.violation_windows)} of the gain study, q = "
+        f"{scenario.control.weight:g}. Grey: violated slots, {low:g} to {high:g} ms of delay; "
+        f"elsewhere {calm[0]} to {calm[1]} ms. Mean over {len(gain_study.seeds)} seeds of the root "
+        f"mean square over {gain_study.num_robots} robots; bands: 95 % intervals (Student t)."
+        f"{_equal_traces(traces)}",
+    )
+    return figure
+
+
+def _draw_unstable(
+    axes: Axes, h_ms: NDArray[np.float64], unstable_ms: NDArray[np.float64], high_ms: float
+) -> None:
+    """Draw first unstable delays; where there is none up to T_max, no marker."""
+    known = np.isfinite(unstable_ms)
+    axes.plot(h_ms[known], unstable_ms[known], color="#000000", marker="o", linestyle=(0, (1, 2)))
+    axes.set_ylim(0.0, 1.3 * max([high_ms, *unstable_ms[known].tolist()]))
+    axes.set_ylabel("first unstable constant delay [ms]")
+
+
+def _draw_region(axes: Axes, rows: pd.DataFrame, look: Look, shift: float) -> None:
+    """Draw one criterion's longest delays; open markers where no longer delay was tried."""
+    x, y = rows["value"] + shift, 1e3 * rows["delay_s"]
+    axes.plot(x, y, color=look.color, linestyle=look.dashes, marker=look.marker, label=look.label)
+    tried = rows["at_least"].to_numpy(bool)
+    axes.plot(
+        x[tried],
+        y[tried],
+        linestyle="none",
+        marker=look.marker,
+        markerfacecolor="white",
+        markeredgecolor=look.color,
+    )
+
+
+def _equal_traces(traces: pd.DataFrame) -> str:
+    """Say which methods have the very errors of the nominal gain, where any has."""
+    equal = []
+    for _, own in traces.groupby("plant", sort=False):
+        errors = {name: rows["error_cm"].to_numpy() for name, rows in own.groupby("method")}
+        equal += [
+            GAIN_METHODS[str(name)].label
+            for name, error in errors.items()
+            if name != "nominal" and np.array_equal(error, errors["nominal"])
+        ]
+    return f" {', '.join(equal)}: the nominal gain, at all these delays." if equal else ""
+
+
+def _legend_of_all(figure: Figure, panels: list[Axes]) -> None:
+    """Put one legend above the panels with the entries of all of them, each once."""
+    entries = {
+        label: handle
+        for axes in panels
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(
+        list(entries.values()), list(entries), loc="outside upper left", ncols=6, columnspacing=1.4
+    )

@@ -1,0 +1,366 @@
+"""From the logs of a study to tables of measures: each log is read once.
+
+Tables are Parquet files ``measures/<table>/<group>.parquet``, one a group of policies that share
+jobs; `study.Study` reads them, and what is shown reads nothing else.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from hiersched.core.files import write_parquet
+from hiersched.experiments import files
+from hiersched.experiments.points import (
+    GAIN_GROUP,
+    Experiment,
+    Point,
+    experiments,
+    groups,
+    is_crossed,
+    trained_learners,
+)
+from hiersched.log import LogError, LogReader
+from hiersched.runs.logged import RunSlots, read_slots
+from hiersched.runs.logging import slice_fields
+from hiersched.scenario import Scenario
+from hiersched.scenario.schema import checkpoint_rounds
+from hiersched.study.metrics import (
+    MEASURED,
+    checked_sojourns,
+    metrics_row,
+    slot_metrics,
+    slots_per_window,
+    tracking_error_by_window_cm,
+)
+
+RUN_TABLES = ("runs", "windows", "slots", "rates", "delays")
+"""Of policies: see `measure_runs`."""
+GAIN_TABLES = ("windows", "slots")
+"""Of the gain study: see `measure_gains`."""
+
+FIRST_SLOTS = 20
+"""Slots at the start of an evaluation of which the table ``slots`` holds each."""
+RATE_EDGES = 10.0 ** (np.arange(-1500, 2001) / 500.0)
+"""Rates at which distributions are kept [Mbit/s]: half a per cent apart."""
+DELAY_POINTS = 201
+DEADLINES_KEPT = 5.0
+"""Distributions of delay end at this many deadlines."""
+WINDOWS_AFTER = 2
+"""Windows of a trace behind the violated one, in which the loop recovers."""
+
+Table = dict[str, list[pd.DataFrame]]
+
+
+def measured_groups(scenario: Scenario) -> dict[str, tuple[str, ...]]:
+    """Return the groups whose logs are measured, each with the tables that this makes."""
+    found: dict[str, tuple[str, ...]] = {}
+    for experiment in experiments(scenario).values():
+        for group in groups(scenario, experiment):
+            found[group] = GAIN_TABLES if group == GAIN_GROUP else RUN_TABLES
+    for learner in trained_learners(scenario):
+        found[learner] = (*found.get(learner, ()), "episodes")
+    return found
+
+
+def table_file(table: str, group: str) -> str:
+    """Return the file of a table of a group, relative to the folder of the study."""
+    return f"measures/{table}/{group}.parquet"
+
+
+def measured_files(scenario: Scenario, group: str) -> list[str]:
+    """List logs, and measures of runs without one, from which the tables of a group come."""
+    names = []
+    for experiment in experiments(scenario).values():
+        policies = groups(scenario, experiment).get(group, ())
+        names += files.group_logs(experiment, policies)
+        names += [
+            files.crossed_file(experiment, point, policy)
+            for point, policy in experiment.runs(policies)
+            if is_crossed(scenario, policy)
+        ]
+    if group in trained_learners(scenario):
+        names += files.learner_logs(scenario, group)
+    return names
+
+
+def measure(scenario: Scenario, results: Path, group: str) -> None:
+    """Read every log of a group once and write its tables.
+
+    Raises
+    ------
+    FileNotFoundError
+        If a log of the scenario's policies and seeds is missing, or measures of runs without one.
+    LogError
+        If a log is damaged or contradicts itself.
+    ValueError
+        If a learner's policies are not those of its training seeds, each in every world.
+    """
+    names = measured_groups(scenario)[group]
+    tables: Table = {name: [] for name in names}
+    for experiment in experiments(scenario).values():
+        policies = groups(scenario, experiment).get(group, ())
+        for point, policy in experiment.runs(policies):
+            if group == GAIN_GROUP:
+                _measure_gains(tables, results, experiment, point, policy)
+            else:
+                _measure_runs(tables, scenario, results, experiment, point, policy)
+    if "episodes" in names:
+        tables["episodes"] += [
+            training_episodes(results, scenario, group).assign(kind="training"),
+            checkpoint_episodes(results, scenario, group).assign(kind="checkpoint"),
+        ]
+    for name in names:
+        table = pd.concat(tables[name], ignore_index=True) if tables[name] else pd.DataFrame()
+        write_parquet(results / table_file(name, group), table)
+
+
+def _measure_runs(
+    tables: Table,
+    scenario: Scenario,
+    results: Path,
+    experiment: Experiment,
+    point: Point,
+    policy: str,
+) -> None:
+    """Add the runs of a policy at a point to the tables.
+
+    ``runs`` has a row a run: columns of `RunMetrics`, those of a learner by training seed and
+    world; `policy_seed` is the training seed (empty for a rule), `seed` the world, and `logged`
+    whether the run has a log. The others have logged runs alone: ``windows`` a row a window and
+    robot; of the evaluation ``slots`` the first slots and the mean (slot empty), ``rates`` and
+    ``delays`` the distributions.
+    """
+    rows = []
+    labels = {"experiment": experiment.name, "axis": experiment.axis, "value": point.value}
+    for seed in experiment.seeds:
+        path = _existing(results / files.run_log(experiment, point, policy, seed))
+        evaluated = experiment.stage == "evaluate"
+        run = read_slots(path, (*MEASURED, *(("mean_fading_power",) if evaluated else ())))
+        sojourns = checked_sojourns(run, point.scenario)
+        rows.append(metrics_row(slot_metrics(run, point.scenario, sojourns), point.scenario))
+        own = {**labels, "policy": policy, "seed": seed}
+        tables["windows"].append(_windows(run.fields, point.scenario).assign(**own))
+        if evaluated:
+            tables["slots"].append(_slots(run).assign(**own))
+            tables["rates"].append(_rates(run, point.scenario).assign(**own))
+            tables["delays"].append(_delays(sojourns, point.scenario).assign(**own))
+    table = pd.DataFrame(rows).assign(logged=True)
+    if is_crossed(scenario, policy):
+        crossed = _existing(results / files.crossed_file(experiment, point, policy))
+        others = pd.read_parquet(crossed).assign(logged=False)
+        table = pd.concat([table, others], ignore_index=True)
+    table["policy_seed"] = table["policy_seed"].astype("Int64")
+    if policy in scenario.learned:
+        table = _in_order(table, scenario, experiment, policy)
+    first = ["policy", "policy_seed", "seed", "logged"]
+    table = table[[*first, *(name for name in table if name not in first)]]
+    tables["runs"].append(table.assign(**labels))
+
+
+def _in_order(
+    table: pd.DataFrame, scenario: Scenario, experiment: Experiment, policy: str
+) -> pd.DataFrame:
+    """Return a learner's runs by training seed and world, after a check that each is there."""
+    learning = scenario.learned[policy]
+    wanted = list(product(learning.seeds, experiment.seeds))
+    places = list(zip(table["policy_seed"], table["seed"], strict=True))
+    if sorted(places, key=str) != sorted(wanted, key=str):
+        raise ValueError(
+            f"{experiment.name} {policy}: not each of the policies of training seeds "
+            f"{', '.join(map(str, learning.seeds))} once in each world"
+        )
+    return table.iloc[[places.index(pair) for pair in wanted]]
+
+
+def _windows(fields: dict[str, NDArray[Any]], scenario: Scenario) -> pd.DataFrame:
+    """Return a row a whole window and robot: error, share of slots with a control at its limit."""
+    length = slots_per_window(scenario)
+    error_cm = tracking_error_by_window_cm(fields["tracking_error_m"], length)
+    windows, robots = error_cm.shape
+    saturated = fields["control_saturated"][: windows * length].astype(np.float64)
+    share = saturated.reshape(windows, length, robots).mean(axis=1)
+    return pd.DataFrame(
+        {
+            "window": np.repeat(np.arange(1, windows + 1), robots),
+            "robot": np.tile(np.arange(robots), windows),
+            "error_cm": error_cm.ravel(),
+            "saturated": share.ravel(),
+        }
+    )
+
+
+def _slots(run: RunSlots) -> pd.DataFrame:
+    """Return channel gain (mean of |h|^2 over URLLC users and PRBs) and URLLC rate, by slot."""
+    urllc = run.num_urllc
+    gain, rate = (
+        run.fields[name][:, :urllc].mean(axis=1, dtype=np.float64)
+        for name in ("mean_fading_power", "rate_mbps")
+    )
+    first, measured = slice(0, FIRST_SLOTS), slice(run.warmup_slots, None)
+    slots = [*range(1, min(FIRST_SLOTS, len(gain)) + 1), None]
+    return pd.DataFrame(
+        {
+            "slot": pd.array(slots, dtype="Int64"),
+            "channel_gain": [*gain[first], gain[measured].mean()],
+            "urllc_rate_mbps": [*rate[first], rate[measured].mean()],
+        }
+    )
+
+
+def _rates(run: RunSlots, scenario: Scenario) -> pd.DataFrame:
+    """Return the share of rates at or below `RATE_EDGES`, where it rises, by slot and window."""
+    rate, urllc = run.measured("rate_mbps"), run.num_urllc
+    frames = []
+    for span, length in (("slot", 1), ("window", slots_per_window(scenario))):
+        blocks = len(rate) // length
+        mean = rate[: blocks * length].reshape(blocks, length, -1).mean(axis=1, dtype=np.float64)
+        for name, users in (("embb", slice(urllc, None)), ("urllc", slice(0, urllc))):
+            sample = np.sort(mean[:, users].ravel())
+            share = np.searchsorted(sample, RATE_EDGES, side="right") / max(1, sample.size)
+            begin = max(0, int(np.searchsorted(share, 0.0, side="right")) - 1)
+            end = int(np.searchsorted(share, 1.0)) + 1
+            frames.append(
+                pd.DataFrame(
+                    {
+                        "span": span,
+                        "slice": name,
+                        "rate_mbps": RATE_EDGES[begin:end],
+                        "share": share[begin:end],
+                    }
+                )
+            )
+    return pd.concat(frames, ignore_index=True)
+
+
+def _delays(sojourn_s: list[NDArray[np.float64]], scenario: Scenario) -> pd.DataFrame:
+    """Return the share of delivered URLLC packets that took longer than a time."""
+    grid = np.linspace(0.0, DEADLINES_KEPT * scenario.traffic.deadline_s, DELAY_POINTS)
+    urllc = sojourn_s[: scenario.users.num_urllc]
+    delays = np.sort(np.concatenate(urllc)) if urllc else np.empty(0)
+    longer = delays.size - np.searchsorted(delays, grid, side="right")
+    share = longer / delays.size if delays.size else np.full(len(grid), np.nan)
+    return pd.DataFrame({"delay_s": grid, "share": share})
+
+
+def _measure_gains(
+    tables: Table, results: Path, experiment: Experiment, point: Point, gain: str
+) -> None:
+    """Add robots under forced delays to ``windows``, and around a violation to ``slots``."""
+    window = slots_per_window(point.scenario)
+    labels = {"experiment": experiment.name, "axis": experiment.axis, "value": point.value}
+    for seed in experiment.seeds:
+        path = _existing(results / files.run_log(experiment, point, gain, seed))
+        with LogReader(path, verify="chunks") as log:
+            fields = log.read("/robots", ["tracking_error_m", "control_saturated"])
+        own = {**labels, "gain": gain, "seed": seed}
+        tables["windows"].append(_windows(fields, point.scenario).assign(**own))
+        if experiment.axis or point.delays is None:
+            continue
+        begin = (min(point.delays.windows) - 1) * window
+        span = slice(max(0, begin - window), begin + (1 + WINDOWS_AFTER) * window)
+        error_m = fields["tracking_error_m"][span]
+        rms_cm = 100.0 * np.sqrt((error_m**2).mean(axis=1))
+        slots = np.arange(len(rms_cm)) + span.start - begin
+        tables["slots"].append(pd.DataFrame({"slot": slots, "error_cm": rms_cm}).assign(**own))
+
+
+def training_episodes(results: Path, scenario: Scenario, learner: str) -> pd.DataFrame:
+    """Read rewards and backlogs of every training episode, mean over its slots (and users).
+
+    Returns
+    -------
+    DataFrame
+        Columns seed, episode (1 = the first), urllc_reward, embb_reward, urllc_backlog_packets,
+        embb_backlog_packets, urllc_late_share (late packets over due packets of the episode).
+
+    Raises
+    ------
+    LogError
+        If a log does not consist of whole episodes.
+    """
+    frames = []
+    for seed in scenario.learned[learner].seeds:
+        path = _existing(results / files.training_log(learner, seed))
+        with LogReader(path, verify="chunks") as log:
+            length = int(log.metadata["slots_per_episode"])
+            if not log.num_slots or log.num_slots % length:
+                raise LogError(
+                    path, 0, f"{log.num_slots} slots are no whole episodes of {length} slots"
+                )
+            episode = np.arange(1, log.num_slots // length + 1)
+            columns = _episode_columns(log, length)
+        frames.append(pd.DataFrame({"seed": seed, "episode": episode, **columns}))
+    return pd.concat(frames, ignore_index=True)
+
+
+def checkpoint_episodes(results: Path, scenario: Scenario, learner: str) -> pd.DataFrame:
+    """Read what the policies of a learner do without noise, at the start and during training.
+
+    Returns
+    -------
+    DataFrame
+        Columns as of `training_episodes`, means over the fixed worlds; episode: of the training
+        behind which it is.
+
+    Raises
+    ------
+    LogError
+        If a log has not every checkpoint of the scenario.
+    """
+    frames = []
+    learning = scenario.learned[learner]
+    episodes = [learning.num_envs * r for r in checkpoint_rounds(learning)]
+    for seed in learning.seeds:
+        path = _existing(results / files.checkpoint_log(learner, seed))
+        with LogReader(path, verify="chunks") as log:
+            length = int(log.metadata["slots_per_episode"])
+            worlds = int(log.metadata["episodes_per_round"])
+            if log.num_slots != length * worlds * len(episodes):
+                raise LogError(
+                    path,
+                    0,
+                    f"{log.num_slots} slots, must be {len(episodes)} checkpoints of {worlds} "
+                    f"episodes of {length} slots",
+                )
+            columns = _episode_columns(log, length * worlds)
+        frames.append(pd.DataFrame({"seed": seed, "episode": episodes, **columns}))
+    return pd.concat(frames, ignore_index=True)
+
+
+def _episode_columns(log: LogReader, length: int) -> dict[str, NDArray[Any]]:
+    """Return the columns of `training_episodes`, one value for every `length` slots."""
+    reward = log.read("/delay", ["reward_urllc", "reward_embb"])
+    if log.profile == "decisions":
+        slices = log.read("/slices")
+    else:
+        users = log.read("/delay", ["due_packets", "late_packets"])
+        users |= log.read("/queue", ["backlog_packets"])
+        slices = slice_fields(users, log.dims.num_urllc)
+    late, due = (
+        _by_episode(slices[name], length) for name in ("late_urllc_packets", "due_urllc_packets")
+    )
+    return {
+        "urllc_reward": _by_episode(reward["reward_urllc"], length),
+        "embb_reward": _by_episode(reward["reward_embb"], length),
+        "urllc_backlog_packets": _by_episode(slices["backlog_urllc_packets"], length),
+        "embb_backlog_packets": _by_episode(slices["backlog_embb_packets"], length),
+        "urllc_late_share": np.divide(late, due, out=np.full(len(due), np.nan), where=due > 0),
+    }
+
+
+def _by_episode(values: NDArray[Any], length: int) -> NDArray[Any]:
+    """Return the mean over the slots of each episode, and over users."""
+    means: NDArray[Any] = values.reshape(len(values) // length, -1).mean(axis=1)
+    return means
+
+
+def _existing(path: Path) -> Path:
+    if not path.is_file():
+        raise FileNotFoundError(f"{path}: no such file")
+    return path

@@ -1,0 +1,171 @@
+"""What a study shows: tables, figures and claims, each a registered function of its measures.
+
+A plug-in adds one by the same decorators. Every one has a rule of its own in the workflow, which
+runs again when its measures, its scenario or its code change.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hiersched.core.registry import Registry
+from hiersched.scenario import Scenario
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+    from hiersched.study.claims.verdicts import Judged
+    from hiersched.study.study import Study
+
+Condition = Callable[[Scenario], bool]
+"""Whether a scenario has what a table, figure or claim shows."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shown:
+    """A registered table, figure or claim.
+
+    Attributes
+    ----------
+    name
+        Of its files.
+    build
+        From a `Study` to a DataFrame, a matplotlib figure, or what was judged.
+    title, note
+        Heading and text of a table; of a figure its caption in reports; of a claim the paper's
+        words and how they are measured.
+    reads
+        Tables of measures that it reads (`Study.sources` lists them).
+    when
+        Whether a scenario has what it shows.
+    columns
+        Columns of a table's Markdown, all unless given; none: no Markdown.
+    reference, unswept
+        Of a claim: its place in the paper, and which sensitivity has not been run.
+    """
+
+    name: str
+    build: Callable[[Study], Any]
+    title: str = ""
+    note: str = ""
+    reads: tuple[str, ...] = ()
+    when: Condition
+    columns: tuple[str, ...] | None = None
+    reference: str = ""
+    unswept: str = ""
+
+    @property
+    def file(self) -> Path:
+        """File of the function."""
+        return Path(inspect.getfile(self.build))
+
+    @property
+    def module(self) -> str:
+        """Module of the function."""
+        return self.build.__module__
+
+
+TABLES: Registry[Shown] = Registry("table", part="study")
+FIGURES: Registry[Shown] = Registry("figure", part="study")
+CLAIMS: Registry[Shown] = Registry("claim", part="study")
+
+
+def always(_scenario: Scenario) -> bool:
+    """Say that every scenario has it."""
+    return True
+
+
+def table(
+    name: str,
+    *,
+    title: str,
+    note: str = "",
+    reads: tuple[str, ...],
+    when: Condition = always,
+    columns: tuple[str, ...] | None = None,
+) -> Callable[[Callable[[Study], pd.DataFrame]], Callable[[Study], pd.DataFrame]]:
+    """Register a table: a function of a `Study` that returns a DataFrame; see `Shown`."""
+    return _adds(TABLES, name, title=title, note=note, reads=reads, when=when, columns=columns)
+
+
+def figure(
+    name: str, *, title: str, note: str = "", reads: tuple[str, ...], when: Condition = always
+) -> Callable[[Callable[[Study], Figure]], Callable[[Study], Figure]]:
+    """Register a figure: a function of a `Study` that returns one of matplotlib; see `Shown`."""
+    return _adds(FIGURES, name, title=title, note=note, reads=reads, when=when)
+
+
+def claim(
+    number: int,
+    *,
+    reference: str,
+    paper: str,
+    measured: str,
+    reads: tuple[str, ...],
+    when: Condition = always,
+    unswept: str = "",
+) -> Callable[[Callable[[Study], Judged]], Callable[[Study], Judged]]:
+    """Register a claim: a function of a `Study` that says what came out; see `Shown`."""
+    return _adds(
+        CLAIMS,
+        f"claim{number}",
+        title=paper,
+        note=measured,
+        reads=reads,
+        when=when,
+        reference=reference,
+        unswept=unswept,
+    )
+
+
+def _adds(registry: Registry[Shown], name: str, **given: Any) -> Callable[[Any], Any]:
+    def decorate(build: Any) -> Any:
+        registry.add(name, Shown(name=name, build=build, **given), source=build)
+        return build
+
+    return decorate
+
+
+def varies(key: str) -> Condition:
+    """Return the condition that an axis of the sweeps varies a key, and nothing else."""
+    return lambda scenario: axis_of(scenario, key) is not None
+
+
+def axis_of(scenario: Scenario, *keys: str) -> str | None:
+    """Return the name of the axis that varies some keys and no others; None if there is none."""
+    axes = scenario.sweeps.axes
+    return next((name for name, axis in axes.items() if set(axis.vary) == set(keys)), None)
+
+
+def has_gain_study(scenario: Scenario) -> bool:
+    """Whether a scenario has a gain study."""
+    return bool(scenario.gain_study.methods)
+
+
+def has_cells(scenario: Scenario) -> bool:
+    """Whether policies run in cells of other sizes."""
+    return bool(scenario.generalise.cells)
+
+
+def has_learners(scenario: Scenario) -> bool:
+    """Whether a scenario trains policies."""
+    from hiersched.experiments.points import trained_learners
+
+    return bool(trained_learners(scenario))
+
+
+def has_bound(scenario: Scenario) -> bool:
+    """Whether exact optima are computed."""
+    return scenario.bound.slots_per_log > 0
+
+
+def shown(registry: Registry[Shown], scenario: Scenario) -> dict[str, Shown]:
+    """Return what of a registry a scenario shows, by name."""
+    import hiersched.study.built_in  # noqa: F401  # registers ours
+
+    return {name: registry[name] for name in registry if registry[name].when(scenario)}

@@ -1,0 +1,152 @@
+"""What a study measured, for whatever shows it."""
+
+from __future__ import annotations
+
+import json
+from functools import cache, cached_property
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from hiersched.control import GainSchedule
+from hiersched.experiments import files
+from hiersched.experiments.gains import design_of, designs
+from hiersched.experiments.points import Point, experiments
+from hiersched.scenario import Scenario
+from hiersched.study.measure import measured_groups, table_file
+
+BASELINE = "pf"
+
+
+class Study:
+    """Scenario and measures of a study.
+
+    Parameters
+    ----------
+    scenario
+        What was run.
+    results
+        ``results/<scenario>``.
+    """
+
+    def __init__(self, scenario: Scenario, results: Path) -> None:
+        self.scenario = scenario
+        self.results = results
+
+    @staticmethod
+    def sources(scenario: Scenario, reads: tuple[str, ...]) -> list[str]:
+        """List the files of tables of measures, relative to the folder of the study.
+
+        Parameters
+        ----------
+        reads
+            Tables of `measure` (runs, windows, slots, rates, delays, episodes), ``bound`` (exact
+            optima), ``stability`` (regions of the gain study) and ``schedules`` (its gains).
+        """
+        own = {
+            "bound": [files.BOUND],
+            "stability": [files.STABILITY],
+            "schedules": [files.gain_file(design) for design in designs(scenario)],
+        }
+        names = []
+        for table in reads:
+            names += own.get(table) or [
+                table_file(table, group)
+                for group, tables in measured_groups(scenario).items()
+                if table in tables
+            ]
+        return names
+
+    @cache  # noqa: B019  # a study lives as long as its process
+    def measures(self, table: str) -> pd.DataFrame:
+        """Read a table of `measure`: the rows of all groups."""
+        frames = [
+            pd.read_parquet(self.results / name).assign(group=Path(name).stem)
+            for name in self.sources(self.scenario, (table,))
+        ]
+        filled = [frame for frame in frames if len(frame)]
+        return pd.concat(filled, ignore_index=True) if filled else pd.DataFrame({"group": []})
+
+    @cached_property
+    def runs(self) -> pd.DataFrame:
+        """Every run of a policy, one a row, in the scenario's order.
+
+        Columns of `measure`'s table ``runs``: `value` is a number where it reads as one.
+        """
+        table = self.measures("runs")
+        order = {name: place for place, name in enumerate(experiments(self.scenario))}
+        rows = []
+        for (name, policy), own in table.groupby(["experiment", "policy"], sort=False):
+            policies = experiments(self.scenario)[str(name)].policies
+            rows.append((order[str(name)], policies.index(str(policy)), own))
+        rows.sort(key=lambda row: row[:2])
+        ordered = pd.concat([own for *_, own in rows], ignore_index=True)
+        return ordered.assign(value=[_number(value) for value in ordered["value"]])
+
+    @property
+    def evaluation(self) -> pd.DataFrame:
+        """Runs of the evaluation."""
+        return self._stage("evaluate")
+
+    @property
+    def sweeps(self) -> pd.DataFrame:
+        """Runs of all sweeps."""
+        return self._stage("sweep")
+
+    @property
+    def cells(self) -> pd.DataFrame:
+        """Runs in cells of other sizes: axis ``cell``."""
+        return self._stage("generalise")
+
+    def _stage(self, stage: str) -> pd.DataFrame:
+        return self.runs[self.runs["stage"] == stage].reset_index(drop=True)
+
+    @cached_property
+    def training(self) -> dict[str, pd.DataFrame]:
+        """Learner -> its training, an episode a row: see `measure.training_episodes`."""
+        return self._episodes("training")
+
+    @cached_property
+    def checkpoints(self) -> dict[str, pd.DataFrame]:
+        """Learner -> its policies without noise: see `measure.checkpoint_episodes`."""
+        return self._episodes("checkpoint")
+
+    def _episodes(self, kind: str) -> dict[str, pd.DataFrame]:
+        table = self.measures("episodes")
+        own = table[table["kind"] == kind]
+        return {str(name): rows.reset_index(drop=True) for name, rows in own.groupby("group")}
+
+    def robots(self, experiment: str) -> pd.DataFrame:
+        """Windows of an experiment of the gain study: table ``windows`` of `measure`."""
+        table = self.measures("windows")
+        return table[table["experiment"] == experiment]
+
+    def point(self, experiment: str, value: str) -> Point:
+        """Return a point of an experiment by its name."""
+        points = experiments(self.scenario)[experiment].points
+        return next(point for point in points if point.value == value)
+
+    def schedule(self, variant: Scenario) -> GainSchedule:
+        """Read the gain schedule of a variant of the scenario."""
+        name = files.gain_file(design_of(self.scenario, variant))
+        return GainSchedule.from_json((self.results / name).read_text(encoding="utf-8"))
+
+    @property
+    def bound(self) -> pd.DataFrame:
+        """Decisions in sampled slots and their exact optima: see `experiments.bound`."""
+        return pd.read_csv(self.results / files.BOUND)
+
+    @property
+    def stability(self) -> list[dict[str, Any]]:
+        """Rows of the stability regions: see `experiments.stability`."""
+        text = (self.results / files.STABILITY).read_text(encoding="utf-8")
+        rows: list[dict[str, Any]] = json.loads(text)
+        return rows
+
+
+def _number(value: str) -> float | str:
+    try:
+        return float(value)
+    except ValueError:
+        return value

@@ -1,0 +1,395 @@
+"""Tables of the gain study: every method, the grid of weight and delay, the sweeps, the regions."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+
+from hiersched.control import GainSchedule, spectral_radius_by_delay
+from hiersched.experiments.points import STUDY_PLANTS, Point, baseline_method, experiments
+from hiersched.scenario import Scenario, delay_steps
+from hiersched.scenario.schema import GainMethod
+from hiersched.simulator.loop_gains import plant_of
+from hiersched.study.metrics import OFF_TRACK_CM
+from hiersched.study.paper import TABLE2
+from hiersched.study.registry import has_gain_study, table
+from hiersched.study.statistics import Interval, interval_columns, mean_interval, paired_log_ratio
+from hiersched.study.study import Study
+from hiersched.study.tables.text import RATIO_NOTE, SEEDS_NOTE, TROUBLE_NOTE
+
+
+def has_gain_grid(scenario: Scenario) -> bool:
+    """Whether weight and delay are swept."""
+    return "gain_grid" in experiments(scenario)
+
+
+def has_gain_sweeps(scenario: Scenario) -> bool:
+    """Whether sampling interval and noise are swept."""
+    return {"gain_grid", "gain_sampling_s", "gain_noise"} <= experiments(scenario).keys()
+
+
+def delay_range(scenario: Scenario, bounds_s: tuple[float, float]) -> range:
+    """Return the delays in samples between two bounds, capped at T_max as in the loop."""
+    low, high = (
+        min(delay_steps(bound, scenario.control.sampling_s), scenario.max_delay_steps)
+        for bound in bounds_s
+    )
+    return range(low, high + 1)
+
+
+def schedule_state(schedule: GainSchedule, delays: range) -> dict[str, Any]:
+    """Say which gains are in force at some delays, and which of them are certified."""
+    states = dict.fromkeys(schedule.status[delay] for delay in delays)
+    certified = sum(bool(schedule.certified[delay]) for delay in delays)
+    last = f"–{delays[-1]}" if len(delays) > 1 else ""
+    return {
+        "delay_steps": f"{delays[0]}{last}",
+        "status": ", ".join(states),
+        "certified": f"{certified} of {len(delays)}",
+    }
+
+
+@table(
+    "gain_methods",
+    title="Gain study: every method against the nominal gain, in the same worlds",
+    note=f"{SEEDS_NOTE} {RATIO_NOTE} `violated` and `calm`: all such slots. `delay_steps`, "
+    "`status`, `certified`: the delays there, the gains in force at them and how many of these are "
+    "certified; gains follow the delay, so a method may also differ from the nominal gain in "
+    f"calm slots. {TROUBLE_NOTE}",
+    reads=("windows", "schedules"),
+    when=has_gain_study,
+)
+def methods_table(study: Study) -> pd.DataFrame:
+    """Return the tracking error of every method of the gain study, in the same worlds.
+
+    A row for each violated slot, one for all of them and one for the calm slots: a method whose
+    gain differs from the nominal one at short delays too pays, or gains, there.
+    """
+    scenario = study.scenario
+    gain_study = scenario.gain_study
+    violated = sorted(gain_study.violation_windows)
+    calm = [slot for slot in range(1, gain_study.num_windows + 1) if slot not in violated]
+    spans = {**{str(slot): [slot] for slot in violated}, "violated": violated}
+    if calm:
+        spans["calm"] = calm
+    robots = study.robots("gain_study")
+    rows = []
+    for method in gain_study.methods:
+        own = _of_method(robots, scenario, method)
+        schedule = study.schedule(study.point("gain_study", method).scenario)
+        for slot, windows in spans.items():
+            bounds = gain_study.calm_delay_s if slot == "calm" else gain_study.violation_delay_s
+            runs = by_run(own[own["window"].isin(windows)])
+            labels = {"method": method, "plant": STUDY_PLANTS[method], "slot": slot}
+            state = schedule_state(schedule, delay_range(scenario, bounds))
+            rows.append({**labels, **compared(runs), **state})
+    return pd.DataFrame(rows)
+
+
+def sweep_points_table(study: Study, experiment: str) -> pd.DataFrame:
+    """Compare both gains at every point of a sweep of the gain study, in its violated windows.
+
+    Returns
+    -------
+    DataFrame
+        One row a point: its columns, errors, ratio, shares of robots in trouble, and ``effect``:
+        ``same gain``, ``helps`` or ``hurts`` where the ratio's interval excludes 1, else
+        ``no difference``.
+    """
+    robots = study.robots(experiment)
+    robots = robots[robots["window"] > 1]
+    rows = []
+    for value, group in robots.groupby("value", sort=False):
+        row = point_columns(study, study.point(experiment, str(value)), experiment)
+        same = row.pop("same_gain")
+        row |= compared(by_run(group))
+        ratio = Interval(row["ratio"], row["ratio_lo"], row["ratio_hi"])
+        row["effect"] = "same gain" if same else effect_of(ratio)
+        rows.append(row)
+    return pd.DataFrame(rows)
+
+
+def effect_of(ratio: Interval) -> str:
+    """Return what a ratio of errors, adjusted over nominal, says at the level of its interval."""
+    if ratio.hi < 1.0:
+        return "helps"
+    return "hurts" if ratio.lo > 1.0 else "no difference"
+
+
+def compared(runs: pd.DataFrame) -> dict[str, Any]:
+    """Compare adjusted and nominal gain over the same seeds, which are in the same order."""
+    by_gain = {gain: runs[runs["gain"] == gain] for gain in ("nominal", "adjusted")}
+    row: dict[str, Any] = {}
+    for gain, group in by_gain.items():
+        row |= interval_columns(f"{gain}_cm", mean_interval(group["error_cm"]))
+    nominal, adjusted = (by_gain[gain]["error_cm"].to_numpy() for gain in ("nominal", "adjusted"))
+    row |= interval_columns("ratio", paired_log_ratio(adjusted, nominal))
+    row["seeds"] = len(nominal)
+    for name in ("off_track", "saturated"):
+        for gain, group in by_gain.items():
+            row[f"{gain}_{name}_share"] = float(group[name].mean())
+    return row
+
+
+@table(
+    "gain_grid",
+    title="Gain study: weight q against a constant delay in the violated window",
+    note=f"{SEEDS_NOTE} {RATIO_NOTE} `effect`: helps or hurts where that interval excludes 1, "
+    f"`same gain` where the nominal gain stays in force. {TROUBLE_NOTE}",
+    reads=("windows", "schedules"),
+    when=has_gain_grid,
+)
+def grid_table(study: Study) -> pd.DataFrame:
+    """Return the grid of weight and delay: a row of `sweep_points_table` each."""
+    points = sweep_points_table(study, "gain_grid")
+    unused = ["axis", "value", "sampling_s", "noise_position_m", "noise_heading_rad", "delay_hi_s"]
+    return points.rename(columns={"delay_lo_s": "delay_s"}).drop(columns=unused)
+
+
+@table(
+    "gain_sweeps",
+    title="Gain study: sampling interval and measurement noise",
+    note=f"{SEEDS_NOTE} {RATIO_NOTE} The first unstable constant delay is of the nominal gain, by "
+    "the spectral radius of the lifted system; a dash: none up to the longest delay with a gain. "
+    f"{TROUBLE_NOTE}",
+    reads=("windows", "schedules", "stability"),
+    when=has_gain_sweeps,
+)
+def sweeps_table(study: Study) -> pd.DataFrame:
+    """Return the sweeps of sampling interval and noise, with the first unstable constant delay.
+
+    That delay is of the nominal gain; there is none where the loop is stable up to T_max.
+    """
+    frames = [sweep_points_table(study, f"gain_{axis}") for axis in ("sampling_s", "noise")]
+    points = pd.concat(frames, ignore_index=True)
+    regions = stability_frame(study)
+    exact = regions[regions["axis"] == "sampling_s"].set_index("value")
+    unstable_s = []
+    for axis, sampling_s in zip(points["axis"], points["sampling_s"], strict=True):
+        if axis != "sampling_s" or exact.loc[sampling_s, "at_least"]:
+            unstable_s.append(math.nan)
+        else:
+            unstable_s.append((exact.loc[sampling_s, "delay_steps"] + 1.0) * sampling_s)
+    place = list(points.columns).index("sampling_s") + 1
+    points.insert(place, "first_unstable_delay_s", unstable_s)
+    return points.drop(columns=["value", "weight"])
+
+
+def point_columns(study: Study, point: Point, experiment: str) -> dict[str, Any]:
+    """Describe a point: its values, the delays in violated windows, the gains in force there."""
+    assert point.delays is not None
+    schedule = study.schedule(point.scenario)
+    bounds = point.delays.violation_s
+    delays = delay_range(point.scenario, bounds)
+    control, robot = point.scenario.control, point.scenario.robot
+    changed = any((schedule.gains[T] != schedule.nominal).any() for T in delays)
+    predicts = any(schedule.input_gains[T].any() for T in delays)
+    return {
+        "axis": experiment.removeprefix("gain_"),
+        "value": point.value,
+        "weight": control.weight,
+        "sampling_s": control.sampling_s,
+        "noise_position_m": robot.noise_position_m,
+        "noise_heading_rad": robot.noise_heading_rad,
+        "delay_lo_s": bounds[0],
+        "delay_hi_s": bounds[1],
+        **schedule_state(schedule, delays),
+        "same_gain": not (changed or predicts),
+    }
+
+
+def by_run(robots: pd.DataFrame) -> pd.DataFrame:
+    """Return a row a run: mean error, and the shares of robots that got into trouble.
+
+    ``off_track``: robots with more than `OFF_TRACK_CM` in one of the windows; ``saturated``: robots
+    with a control at its limit in more than half of the slots of one. None is left out of the mean.
+
+    Parameters
+    ----------
+    robots
+        Some windows of runs, from `Study.robots`.
+    """
+    rows = []
+    for (gain, seed), own in robots.groupby(["gain", "seed"], sort=False):
+        num_robots = own["robot"].nunique()
+        error_cm, saturated = (
+            own[name].to_numpy().reshape(-1, num_robots) for name in ("error_cm", "saturated")
+        )
+        rows.append(
+            {
+                "gain": gain,
+                "seed": seed,
+                "error_cm": float(error_cm.mean()),
+                "off_track": float((error_cm > OFF_TRACK_CM).any(axis=0).mean()),
+                "saturated": float((saturated > 0.5).any(axis=0).mean()),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def _of_method(robots: pd.DataFrame, scenario: Scenario, method: GainMethod) -> pd.DataFrame:
+    """Return the windows of a method, and of the nominal gain on its plant."""
+    first = baseline_method(scenario, method)
+    nominal = robots[(robots["gain"] == "nominal") & (robots["value"] == first)]
+    return pd.concat(
+        [nominal, robots[(robots["gain"] == "adjusted") & (robots["value"] == method)]]
+    )
+
+
+@table(
+    "gain_stability",
+    title="Gain study: longest delays",
+    note="Up to `delay_steps` samples: `exact`, the spectral radius of the lifted system is below "
+    "1 at each constant delay; `c1`, `c2`, `c3`, every sequence of such delays is certified, all "
+    "for the nominal gain; `adjusted`, exact, for the gain made for the longest delay of the "
+    "grid. `at_least`: no longer delay was tried; a dash: not even without delay.",
+    reads=("stability",),
+    when=has_gain_grid,
+)
+def stability_table(study: Study) -> pd.DataFrame:
+    """Return the stability regions, with what the file names in words."""
+    return stability_frame(study).drop(columns="max_delay_steps")
+
+
+def stability_frame(study: Study) -> pd.DataFrame:
+    """Return the stability regions: a row an axis, value, plant and criterion.
+
+    ``delay_steps`` is NaN where a criterion does not even hold without delay; ``delay_s`` is that
+    many samples; ``at_least`` says that no longer delay was looked at.
+    """
+    frame = pd.DataFrame(study.stability)
+    frame["delay_steps"] = frame["delay_steps"].astype(np.float64)
+    frame["delay_s"] = frame["delay_steps"] * frame["sampling_s"]
+    frame["at_least"] = frame["delay_steps"] == frame["max_delay_steps"]
+    return frame
+
+
+@table(
+    "gains",
+    title="Gain schedule",
+    note="Deviation is the Frobenius norm of adjusted minus nominal gain; spectral radii are the "
+    "largest over all constant delays up to T, of the gain in force and of the nominal one.",
+    reads=("schedules",),
+    when=has_gain_study,
+)
+def schedule_table(study: Study) -> pd.DataFrame:
+    """Return the gain in force at every delay: status, deviation, certificate, spectral radii."""
+    scenario = study.scenario
+    rows = []
+    for method in study_methods(scenario):
+        schedule = study.schedule(study.point("gain_study", method).scenario)
+        kind: Literal["network", "split"] = "split" if schedule.kind == "split" else "network"
+        control = replace(scenario.control, loop=kind, sampling_s=schedule.sampling_s)
+        plant = plant_of(replace(scenario, control=control))
+        loop = plant.closed_loop(schedule.nominal)
+        nominal_radii = spectral_radius_by_delay(*loop, schedule.max_delay_steps)
+        for delay, certificate in enumerate(schedule.certificates):
+            rows.append(
+                {
+                    "method": schedule.method,
+                    "plant": schedule.kind,
+                    "delay_steps": delay,
+                    "delay_s": delay * schedule.sampling_s,
+                    "status": schedule.status[delay],
+                    "deviation": float(schedule.deviation[delay]),
+                    "certified": bool(certificate.certified),
+                    "criterion": certificate.criterion,
+                    "spectral_radius": float(certificate.spectral_radii.max()),
+                    "nominal_spectral_radius": float(nominal_radii[: delay + 1].max()),
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def study_methods(scenario: Scenario) -> list[GainMethod]:
+    """List the methods of the gain study, the scenario's own first."""
+    own = scenario.control.method
+    return sorted(scenario.gain_study.methods, key=lambda method: method != own)
+
+
+def gain_errors(study: Study) -> pd.DataFrame:
+    """Return the tracking errors of the gain study, mean over robots.
+
+    Returns
+    -------
+    DataFrame
+        Columns method, plant, gain (nominal, adjusted), seed, slot (window, 1 = the first),
+        violated, error_cm; the scenario's own method first. Methods on one plant share the runs
+        with the nominal gain.
+    """
+    scenario = study.scenario
+    robots = study.robots("gain_study")
+    frames = []
+    for method in study_methods(scenario):
+        own = _of_method(robots, scenario, method)
+        keys = ["gain", "seed", "window"]
+        means = own.groupby(keys, sort=False)["error_cm"].apply(lambda e: e.to_numpy().mean())
+        frame = means.reset_index().rename(columns={"window": "slot"})
+        frame.insert(0, "method", method)
+        frame.insert(1, "plant", STUDY_PLANTS[method])
+        frames.append(frame)
+    table = pd.concat(frames, ignore_index=True)
+    return table.assign(violated=table["slot"].isin(scenario.gain_study.violation_windows))
+
+
+@table(
+    "table2_gain",
+    title="Table II: tracking error in the windows of violated delay",
+    note=f"{SEEDS_NOTE} Root mean square over a window, mean over robots; slot 1 is the first "
+    f"window. {RATIO_NOTE} The paper gives no unit: only its ratio compares.",
+    reads=("windows",),
+    when=has_gain_study,
+)
+def violated_table(study: Study) -> pd.DataFrame:
+    """Return Table II: the violated windows under the scenario's own method."""
+    gains = gain_table(study)
+    own = gains["method"] == gains["method"].iloc[0]
+    return gains[own & gains["violated"]].drop(columns="violated")
+
+
+@table(
+    "table2_methods",
+    title="Tracking error in every window of the gain study, by method",
+    note=f"{SEEDS_NOTE} {RATIO_NOTE}",
+    reads=("windows",),
+    when=has_gain_study,
+)
+def gain_table(study: Study) -> pd.DataFrame:
+    """Return the tracking error of every method and window: nominal, adjusted, paired ratio.
+
+    Slots that are in the paper's Table II have its numbers beside them.
+    """
+    gains = gain_errors(study)
+    rows = []
+    for (method, plant, slot, violated), group in gains.groupby(
+        ["method", "plant", "slot", "violated"], sort=False
+    ):
+        by_gain = group.pivot(index="seed", columns="gain", values="error_cm")
+        nominal, adjusted = by_gain["nominal"].to_numpy(), by_gain["adjusted"].to_numpy()
+        printed = TABLE2.get(int(str(slot))) if violated else None
+        rows.append(
+            {
+                "slot": slot,
+                "nominal_cm": float(nominal.mean()),
+                "adjusted_cm": float(adjusted.mean()),
+                **interval_columns("ratio", paired_log_ratio(adjusted, nominal)),
+                **_bounds("nominal_cm", mean_interval(nominal)),
+                **_bounds("adjusted_cm", mean_interval(adjusted)),
+                "seeds": len(by_gain),
+                "method": method,
+                "plant": plant,
+                "violated": bool(violated),
+                "paper_nominal": printed.nominal if printed else math.nan,
+                "paper_adjusted": printed.adjusted if printed else math.nan,
+                "paper_ratio": printed.adjusted / printed.nominal if printed else math.nan,
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def _bounds(name: str, interval: Interval) -> dict[str, float]:
+    return {f"{name}_lo": interval.lo, f"{name}_hi": interval.hi}

@@ -1,0 +1,105 @@
+"""Writes a table, as CSV with full precision and as Markdown to read."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from hiersched.core.files import csv_text, write_bytes
+from hiersched.study.registry import Shown
+
+SEEDS_NOTE = "Means over seeds, in brackets their Student t 95 % intervals."
+LOGGED_NOTE = (
+    "The learned policy's slots are those of its logs: world i ran the policy of training seed i."
+)
+LEARNED_NOTE = (
+    "Learned policies: every trained policy in every world, ratios and differences by world within "
+    "each; intervals have the parts of both."
+)
+RATIO_NOTE = (
+    "Ratios are geometric means over the same worlds, in brackets Student's 95 % interval of their "
+    "logarithms."
+)
+NONE_NOTE = (
+    "A share of 0 in a world enters a ratio as the least share that could be seen there. Where "
+    "those of a policy do, ratio and upper bound are upper bounds, and the lower bound is 0; where "
+    "those of the baseline do, ratio and lower bound are lower bounds, and there is no upper one; "
+    "a dash: both do."
+)
+TROUBLE_NOTE = (
+    "Shares of robots: `off_track`, over 10 cm in a window; `saturated`, at a control limit for "
+    "half of one. All robots are in the means."
+)
+
+
+def write_table(shown: Shown, content: pd.DataFrame, folder: Path) -> None:
+    """Write a table into ``tables/``: CSV, and Markdown unless it has no columns to read."""
+    write_bytes(folder / f"{shown.name}.csv", csv_text(content).encode())
+    if shown.columns != ():
+        columns = shown.columns or content.columns
+        read = content[[name for name in columns if name in content]]
+        text = markdown_text(read, shown.title, shown.note)
+        write_bytes(folder / f"{shown.name}.md", text.encode())
+
+
+def markdown_text(table: pd.DataFrame, title: str, note: str) -> str:
+    """Return a table as Markdown, a mean and its bounds in one cell."""
+    merged = [name for name in table.columns if {f"{name}_lo", f"{name}_hi"} <= set(table.columns)]
+    bounds = {f"{name}_{end}" for name in merged for end in ("lo", "hi")}
+    names = [name for name in table.columns if name not in bounds]
+    lines = [f"# {title}", "", note, ""]
+    lines.append("| " + " | ".join(str(name) for name in names) + " |")
+    lines.append("|" + "|".join(_alignment(table, name) for name in names) + "|")
+    for row in table.to_dict("records"):
+        cells = [
+            interval_text(row[name], row[f"{name}_lo"], row[f"{name}_hi"])
+            if name in merged
+            else cell_text(row[name])
+            for name in names
+        ]
+        lines.append("| " + " | ".join(cells) + " |")
+    return "\n".join(lines) + "\n"
+
+
+def interval_text(mean: float, lo: float, hi: float) -> str:
+    """Return a mean and its interval, to two digits of its half width or of each number.
+
+    A mean of 0 is given by its upper bound.
+    """
+    if not math.isfinite(mean):
+        return "–"
+    if math.isfinite(lo) and hi == math.inf:
+        return f"{_rounded(mean, 3)} [{_rounded(lo, 2)}, ∞)"
+    if not (math.isfinite(lo) and math.isfinite(hi)):
+        return cell_text(mean) if math.isnan(lo) else f"{cell_text(mean)} [unbounded]"
+    half = (hi - lo) / 2.0
+    if half <= 1e-12 * abs(mean):
+        return f"{cell_text(mean)} [±0]"
+    if mean == lo == 0.0:
+        return f"< {hi:.2g}"
+    decimals = 1 - math.floor(math.log10(half))
+    skewed = hi > 10.0 * lo > 0.0 or hi > 30.0 * abs(mean)
+    if not -3 <= decimals <= 6 or skewed:  # each number with digits of its own
+        return f"{_rounded(mean, 3)} [{_rounded(lo, 2)}, {_rounded(hi, 2)}]"
+    decimals = max(0, decimals)
+    return f"{mean:.{decimals}f} [{lo:.{decimals}f}, {hi:.{decimals}f}]"
+
+
+def _rounded(value: float, digits: int) -> str:
+    """Return a number with so many significant digits; no power of ten below a million."""
+    text = f"{value:.{digits}g}"
+    return f"{float(text):.0f}" if "e+" in text and abs(value) < 1e6 else text
+
+
+def cell_text(value: Any) -> str:
+    """Return a cell: numbers with four significant digits, no number as a dash."""
+    if isinstance(value, bool) or not isinstance(value, float):
+        return str(value).replace("|", "\\|")
+    return f"{value:.4g}" if math.isfinite(value) else "–"
+
+
+def _alignment(table: pd.DataFrame, name: str) -> str:
+    return "---:" if pd.api.types.is_numeric_dtype(table[name]) else "---"
