@@ -147,6 +147,6 @@ class Study:
 
 def _number(value: str) -> float | str:
     try:
-        return float(value)
+        return value if "_" in value else float(value)  # Python takes 0_8 for a number
     except ValueError:
         return value

@@ -11,9 +11,7 @@ for s in SCENARIOS:
                 input:
                     kernels=KERNELS,
                     gains=gain_files(s, experiment_designs(s, e)),
-                    policies=(
-                        inside(s, files.policy_files(s, group)) if group in s.learned else []
-                    ),
+                    policies=(inside(s, files.policy_files(s, group)) if group in s.learned else []),
                 output:
                     whole(s, files.group_files(s, e, group)),
                 log:
@@ -49,9 +47,7 @@ for s in SCENARIOS:
                 f"{folder(s)}/benchmarks/bound.tsv"
             threads: 1
             params:
-                spec=dependencies.stage_spec(
-                    "bound", dependencies.bound_values(s), script("bound")
-                ),
+                spec=dependencies.stage_spec("bound", dependencies.bound_values(s), script("bound")),
                 args=arguments("bound", s),
             message:
                 f"Computing exact optima of {s.name}"

@@ -58,9 +58,7 @@ for s in SCENARIOS:
                     subcategory="Tables",
                     labels={"table": thing.name},
                 ),
-                markdown=(
-                    [] if thing.columns == () else whole(s, [f"tables/{thing.name}.md"])
-                ),
+                markdown=([] if thing.columns == () else whole(s, [f"tables/{thing.name}.md"])),
             log:
                 f"{folder(s)}/logs/table_{thing.name}.log",
             threads: 1
