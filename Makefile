@@ -21,7 +21,7 @@ RUN := env PATH="$(BIN):$$PATH" OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: oldest help install paper smoke readme test lint format bench bench-short clean distclean
+.PHONY: oldest help install paper smoke readme gains test lint format bench bench-short clean distclean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-11s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -48,6 +48,9 @@ smoke: $(STAMP)  ## the same pipeline, small enough for a few minutes (results/s
 readme: $(STAMP)  ## write the verdicts of results/paper into the README
 	$(RUN) python src/hiersched/workflow/scripts/readme.py --results results/paper
 
+gains: $(STAMP)  ## design the gains that the package ships anew
+	$(RUN) python src/hiersched/workflow/scripts/ship_gains.py
+
 test: $(STAMP)  ## the tests
 	$(RUN) python -m pytest -n $(CORES) --dist loadfile
 
@@ -65,8 +68,7 @@ format: $(STAMP)  ## let the formatters have their way
 
 oldest:  ## the kernels' tests on the oldest Numba that pyproject.toml allows (an environment of its own)
 	test -x .venv-oldest/bin/python || "$(PYTHON)" -m venv .venv-oldest
-	.venv-oldest/bin/python -m pip install --quiet $(PIP_ARGS) "numba==$(OLDEST_NUMBA)" "numpy<2.2" scipy "pydantic>=2.8" pyyaml cvxpy clarabel control mcap mcap-protobuf-support zstandard pytest hypothesis
-	.venv-oldest/bin/python -m pip install --quiet --no-deps -e .
+	.venv-oldest/bin/python -m pip install --quiet $(PIP_ARGS) "numba==$(OLDEST_NUMBA)" "numpy<2.2" -e '.[control]' mcap-protobuf-support pytest hypothesis
 	.venv-oldest/bin/python -m pytest -q tests/core tests/simulator
 
 bench: $(STAMP)  ## speed of the slot loop, the log, the gain design and the learners

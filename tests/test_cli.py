@@ -1,12 +1,16 @@
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 
 from hiersched.cli import main
+from hiersched.core.extras import EXTRA_OF
+from hiersched.log import LogReader
 from hiersched.scenario import load_scenario
 from hiersched.scenario.plugins import CONFIG
 
@@ -72,6 +76,144 @@ def test_the_installed_command(project_root: Path) -> None:
             check=False,
         )
 
-    assert run("--version").stdout == "hiersched 0.1.0\n"
+    assert run("--version").stdout == f"hiersched {version('hiersched')}\n"
     usage = run("scenario")
     assert (usage.returncode, "usage: hiersched" in usage.stderr) == (2, True)
+
+
+def test_one_world_is_a_table_and_a_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["run", "smoke", "--policy", "pf", "--seconds", "2", "--seed", "7"]) == 0
+    said = capsys.readouterr().out
+    for words in ("pf in world 7, 2 s behind a warm-up of 1 s", "late packets", "delay, 99.9 %"):
+        assert words in said
+    path = Path("results/smoke/worlds/pf_seed7.mcap")
+    assert said.endswith(f"{path}\n")
+    with LogReader(path) as log:
+        assert (log.num_slots, log.profile) == (300, "full")
+    assert main(["replay", str(path)]) == 0
+    assert main(["run", "smoke", "--policy", "pf", "--seconds", "1", "--out", "a/b.mcap"]) == 0
+    assert Path("a/b.mcap").is_file()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["smok", "--policy", "pf"], "no such scenario; there are: "),
+        (["smoke", "--policy", "ddpg"], "policy = 'ddpg': must be one of pf, "),
+        (["smoke", "--policy", "pf", "--seconds", "0"], "--seconds 0: must be a slot of 0.01 s"),
+        (["smoke", "--policy", "pf", "--seconds", "nan"], "--seconds nan: must be"),
+        (["smoke", "--policy", "pf", "--snakemake=-n"], "--snakemake: only with --cores"),
+        (["smoke", "--cores", "1", "--seed", "0"], "--seed: only with --policy"),
+    ],
+)
+def test_what_cannot_run_is_one_message(
+    words: list[str], message: str, capsys: pytest.CaptureFixture
+) -> None:
+    assert main(["run", *words]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_a_study_is_snakemakes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture
+) -> None:
+    folder = tmp_path / "a, b"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    assert main(["run", "smoke", "--cores", "1", "--snakemake=-n --quiet all"]) == 0
+    said = "".join(capfd.readouterr())
+    assert f"Working directory: {folder}" in said
+    assert "evaluate_classical_smoke" in said
+    Path("it's mine.yaml").write_text("name: mine\nlearning: {seeds: []}\n", encoding="utf-8")
+    assert main(["run", "it's mine.yaml", "--cores", "1"]) == 1
+    assert "error: it's mine.yaml: learning.seeds" in "".join(capfd.readouterr())
+
+
+def test_a_new_folder_runs_as_its_readme_says(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["new", "study"]) == 0
+    assert main(["new", "study"]) == 2
+    assert "study: not empty; nothing is overwritten" in capsys.readouterr().err
+    monkeypatch.chdir(tmp_path / "study")
+    readme = Path("README.md").read_text(encoding="utf-8")
+    commands = [line.split("   ")[0].split() for line in readme.split("    hiersched ")[1:]]
+    assert ["run", "mine.yaml", "--cores", "2"] in commands
+    for words in commands:
+        if "--cores" in words:
+            continue
+        given = [
+            name
+            for word in words
+            for name in (map(str, Path().glob(word)) if "*" in word else [word])
+        ]
+        assert main(given) == 0, words
+
+
+CORE_ONLY = """
+import sys
+
+class Missing:
+    def find_spec(self, name, path=None, target=None):
+        if name in {packages}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+
+sys.meta_path.insert(0, Missing())
+import numpy as np
+from hiersched.cli import main
+from hiersched.env import SlicingVectorEnv
+from hiersched.scenario import load_scenario
+
+env = SlicingVectorEnv(load_scenario("smoke"), num_envs=2)
+env.reset(seed=1)
+reward = env.step(np.zeros(env.action_space.shape, np.float32))[1]
+assert reward.shape == (2,), reward
+for words in {commands}:
+    print(main(words), file=sys.stderr)
+try:
+    from hiersched.env import SlicingParallelEnv
+except ImportError as error:
+    print(error, file=sys.stderr)
+"""
+
+
+def test_the_core_does_without_the_extras(tmp_path: Path, project_root: Path) -> None:
+    """Simulates, logs and is an environment; what it cannot do names the extra."""
+    (tmp_path / "other.yaml").write_text("control: {weight: 90.0}\n", encoding="utf-8")
+    log = "results/smoke/worlds/pf_seed101.mcap"
+    commands = {
+        ("run", "smoke", "--policy", "pf", "--seconds", "1"): None,
+        ("replay", log): None,
+        (
+            "run",
+            "other.yaml",
+            "--policy",
+            "pf",
+        ): "cvxpy, which is not installed: pip install 'hiersched[control]'",
+        (
+            "run",
+            "smoke",
+            "--cores",
+            "1",
+        ): "snakemake, which is not installed: pip install 'hiersched[study]'",
+        ("export", log, "--csv"): "pandas, which is not installed: pip install 'hiersched[study]'",
+    }
+    code = CORE_ONLY.format(packages=set(EXTRA_OF), commands=[list(words) for words in commands])
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=False,
+        env={**os.environ, "PYTHONPATH": str(project_root / "src")},
+    )
+    assert done.returncode == 0, done.stderr
+    said = [line for line in done.stderr.splitlines() if "compiling" not in line]
+    expected = []
+    for message in commands.values():
+        expected += ["0"] if message is None else [f"hiersched: this needs {message}", "2"]
+    assert said[:-1] == expected
+    assert said[-1].endswith("pip install 'hiersched[pettingzoo]'")

@@ -14,7 +14,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 import pytest
 import yaml
@@ -22,6 +21,7 @@ from numba.core.caching import _CacheLocator
 
 from hiersched.cli import main
 from hiersched.core import registry
+from hiersched.core.compiled import CACHE_FOLDER
 from hiersched.core.randomness import world_keys
 from hiersched.runs import paths
 from hiersched.runs.evaluate import evaluate
@@ -95,7 +95,7 @@ def folder(project_root, tmp_path, monkeypatch):
         if sys.modules.pop(file.stem, None):
             registry._forget(file.resolve())
         compiled = _CacheLocator.get_suitable_cache_subpath(str(file))
-        shutil.rmtree(Path(numba.config.CACHE_DIR) / compiled, ignore_errors=True)
+        shutil.rmtree(CACHE_FOLDER / compiled, ignore_errors=True)
 
 
 @pytest.fixture

@@ -14,10 +14,10 @@ import grimp
 import pytest
 import yaml
 
+from hiersched.core.extras import EXTRA_OF
 from hiersched.runs.paths import FIGURES, TABLES
 from hiersched.scenario import load_scenario
 
-HEAVY = ("torch", "cvxpy", "matplotlib", "pandas", "control", "snakemake")
 MAX_FILE_BYTES = 1024 * 1024
 
 # "name: value  # [unit] paper: why" or "… assumed: why"
@@ -206,7 +206,7 @@ def test_every_requirement_is_pinned(project_root: Path) -> None:
         for requirement in required
     }
     pinned = pins((project_root / "constraints.txt").read_text(encoding="utf-8"))
-    assert names - pinned.keys() == set()
+    assert names - pinned.keys() == {"hiersched"}  # extras that take in others
 
 
 def test_no_tracked_file_is_large(project_root: Path) -> None:
@@ -228,14 +228,38 @@ def test_nothing_generated_is_tracked(project_root: Path) -> None:
     assert inside == []
 
 
-def test_import_is_light() -> None:
-    """What `import hiersched` costs is paid by every command and every job."""
-    code = "import sys, hiersched; print(*sorted(m for m in sys.modules if '.' not in m))"
+@pytest.mark.parametrize(
+    "modules",
+    [
+        "hiersched",
+        "hiersched.env, hiersched.env.vector, hiersched.env.single",
+        "hiersched.simulator, hiersched.simulator.gain_source, hiersched.control",
+        "hiersched.log, hiersched.study.metrics, hiersched.replay.verify, hiersched.cli.run",
+    ],
+)
+def test_the_core_imports_nothing_of_the_extras(modules: str) -> None:
+    """Nor what `import hiersched` costs every command and every job."""
+    code = f"import sys, {modules}; print(*sorted(m for m in sys.modules if '.' not in m))"
     loaded = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     ).stdout.split()
     assert "hiersched" in loaded
-    assert [name for name in HEAVY if name in loaded] == []
+    assert [name for name in (*EXTRA_OF, "control") if name in loaded] == []
+
+
+def test_every_extra_brings_what_its_error_promises(project_root: Path) -> None:
+    extras = project_table(project_root)["optional-dependencies"]
+    brings = {
+        name: {re.split(r"[^\w.-]", requirement)[0] for requirement in requirements}
+        for name, requirements in extras.items()
+    }
+    of_package = {"rerun": "rerun-sdk"}
+    missing = [
+        (package, extra)
+        for package, extra in EXTRA_OF.items()
+        if of_package.get(package, package) not in brings[extra]
+    ]
+    assert missing == []
 
 
 def test_version_is_the_same_everywhere(project_root: Path) -> None:

@@ -1,10 +1,13 @@
-"""Machine code of a kernel of ours that outside types have reached."""
+"""Where machine code is kept: that of kernels that outside types have reached, that of users."""
 
 from __future__ import annotations
 
 import os
 import subprocess
 import sys
+from pathlib import Path
+
+from hiersched.core.compiled import CACHE_FOLDER
 
 CALL = """
 from typing import NamedTuple
@@ -49,3 +52,51 @@ def test_a_class_that_is_not_there_any_more_disturbs_no_kernel(project_root, tmp
     assert [hits(*use), hits(*use)] == [0, 1]
     module.unlink()
     assert [hits("-c", OURS), hits("-c", OURS)] == [0, 1]
+
+
+OF_A_USER = """
+import numba
+
+def settings():
+    return {name: getattr(numba.config, name) for name in dir(numba.config) if name.isupper()}
+
+before = settings()
+import numpy as np
+from hiersched.env import SlicingVectorEnv
+from hiersched.models.plant.feedback import hold_entry
+assert settings() == before
+
+@numba.njit(cache=True)
+def twice(x):
+    return 2 * x
+
+assert twice(3) == 6
+assert hold_entry(3, 0, np.zeros(2, np.int64)) == 3
+print(twice.stats.cache_path)
+print(hold_entry.stats.cache_path)
+"""
+
+
+def test_a_users_own_functions_keep_their_settings_and_their_cache(project_root, tmp_path):
+    """Where the machine code lies: that of a user where Numba has it, ours apart from it."""
+    module, chosen = tmp_path / "my_module.py", tmp_path / "chosen"
+    module.write_text(OF_A_USER, encoding="utf-8")
+    env = {**os.environ, "PYTHONPATH": os.pathsep.join((str(tmp_path), str(project_root / "src")))}
+    env.pop("NUMBA_CACHE_DIR", None)
+
+    def folders(**more):
+        done = subprocess.run(
+            [sys.executable, "-c", "import my_module"],
+            env={**env, **more}, capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        return map(Path, done.stdout.split())
+
+    theirs, ours = folders()
+    assert theirs == tmp_path / "__pycache__"
+    assert list(theirs.glob("my_module.twice*.nbc"))
+    assert ours.is_relative_to(CACHE_FOLDER)
+    theirs, ours = folders(NUMBA_CACHE_DIR=str(chosen))
+    assert theirs.parent == chosen
+    assert ours.is_relative_to(chosen / CACHE_FOLDER.name)
+    assert list(ours.glob("*.nbc"))

@@ -10,12 +10,11 @@ import sys
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numba
 import numpy as np
 import pytest
 
 from hiersched.core import registry
-from hiersched.core.compiled import inner_kernel, kernel
+from hiersched.core.compiled import CACHE_FOLDER, inner_kernel, kernel
 from hiersched.core.pointer import Pointer
 from hiersched.core.registry import load_plugin
 from hiersched.core.seam import UNUSED, Seam, call_plug, outside_files
@@ -444,9 +443,8 @@ def test_a_deleted_plugin_disturbs_no_other_run(processes, project_root, tmp_pat
     """With the cache that it left, the built-in models run as before, and from that cache."""
     file = tmp_path / "seam_rule.py"
     file.write_text(RULE, encoding="utf-8")
-    here = Path(numba.config.CACHE_DIR)
-    if here.is_dir():  # what is compiled already need not be compiled again
-        shutil.copytree(here, processes.cache, dirs_exist_ok=True)
+    if CACHE_FOLDER.is_dir():  # what is compiled already need not be compiled again
+        shutil.copytree(CACHE_FOLDER, processes.cache / CACHE_FOLDER.name)
     config = project_root / "src/hiersched/config"
     with_it, _ = processes(RUN, config, file)
     assert with_it["most"] == [1, 1, 3, 1, 1, 1, 1, 1]

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from importlib.metadata import version
 
 from hiersched.cli.errors import InputError
+from hiersched.core.extras import MissingExtraError, naming_extras
 
 BAD_INPUT = 2
 
@@ -24,7 +25,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     -------
     int
         Exit status: 0; 1 when a log is not what it should be; 2 when the input is at fault (one
-        message on stderr); 3 when a recovered log lacks something.
+        message on stderr); 3 when a recovered log lacks something; of a study Snakemake's.
     """
     from hiersched.log import LogError
     from hiersched.scenario import ScenarioError
@@ -32,11 +33,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parsed = _parser().parse_args(arguments)
     command: Callable[[argparse.Namespace], int] = parsed.command
     try:
-        return command(parsed)
+        with naming_extras():
+            return command(parsed)
     except BrokenPipeError:  # the reader of our output has seen enough
         sys.stderr.close()
         return 0
-    except (InputError, LogError, ScenarioError) as error:
+    except (InputError, LogError, MissingExtraError, ScenarioError) as error:
         return _complain(str(error))
     except OSError as error:
         return _complain(f"{error.filename}: {error.strerror}" if error.filename else str(error))
@@ -48,13 +50,13 @@ def _complain(message: str) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    from hiersched.cli import log, replay, scenario
+    from hiersched.cli import log, replay, run, scenario
 
     parser = argparse.ArgumentParser(
         prog="hiersched", description="Bandwidth allocation and control gains for teleoperation."
     )
     parser.add_argument("--version", action="version", version=f"hiersched {version('hiersched')}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for module in (scenario, log, replay):
+    for module in (run, scenario, log, replay):
         module.add_commands(commands)
     return parser

@@ -42,7 +42,7 @@ def _add_export_options(parser: argparse.ArgumentParser) -> None:
     form = parser.add_mutually_exclusive_group(required=True)
     for name, text in (
         ("csv", "as CSV; numbers read back to the same bits"),
-        ("parquet", "as Parquet (needs pyarrow: the extra hiersched[parquet])"),
+        ("parquet", "as Parquet (needs pyarrow: the extra hiersched[study])"),
         ("viewer", "poses and images for viewers as viewer.mcap, a layout as foxglove.json"),
     ):
         form.add_argument(f"--{name}", dest="form", action="store_const", const=name, help=text)
@@ -151,7 +151,7 @@ def _export(parsed: argparse.Namespace) -> int:
         written = export_tables(
             source, folder, parsed.form, parsed.topic, parsed.start, parsed.stop
         )
-    except (ValueError, ImportError) as error:
+    except ValueError as error:
         raise InputError(str(error)) from error
     for path in written:
         print(path)
@@ -159,13 +159,7 @@ def _export(parsed: argparse.Namespace) -> int:
 
 
 def _view(parsed: argparse.Namespace) -> int:
-    from hiersched.cli.errors import InputError
     from hiersched.replay.view import show_in_rerun
 
-    try:
-        show_in_rerun(parsed.log, parsed.save)
-    except ImportError as error:
-        raise InputError(
-            "view needs rerun-sdk, which is not installed: pip install 'hiersched[viewer]'"
-        ) from error
+    show_in_rerun(parsed.log, parsed.save)
     return 0

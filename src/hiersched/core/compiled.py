@@ -12,7 +12,12 @@ from typing import Any
 import numba
 from numba import njit, types
 from numba.core import event
-from numba.core.caching import IndexDataCacheFile
+from numba.core.caching import (
+    CompileResultCacheImpl,
+    FunctionCache,
+    IndexDataCacheFile,
+    _CacheLocator,
+)
 from numba.core.registry import CPUDispatcher
 
 PACKAGE = Path(__file__).resolve().parents[1]
@@ -25,19 +30,48 @@ def _cache_folder() -> Path:
     Numba looks at the file of a function alone: a change in a function that it calls from another
     file would go unnoticed. The hash of all the kernels' sources in the folder's name takes care of
     that. Sources outside the package are not part of it: `core.seam` takes care of theirs.
+    The folder lies in Numba's `CACHE_DIR` where that is set.
     """
     digest = hashlib.sha256()
     for name in _SOURCES:
         for file in sorted((PACKAGE / name).rglob("*.py")):
             digest.update(file.read_bytes())
     home = PACKAGE / "__pycache__"
-    if not os.access(home if home.exists() else PACKAGE, os.W_OK):
+    if numba.config.CACHE_DIR:
+        home = Path(numba.config.CACHE_DIR)
+    elif not os.access(home if home.exists() else PACKAGE, os.W_OK):
         home = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "hiersched"
     return home / f"kernels-{digest.hexdigest()[:16]}"
 
 
-if not os.environ.get("NUMBA_CACHE_DIR"):
-    numba.config.CACHE_DIR = str(_cache_folder())
+CACHE_FOLDER = _cache_folder()
+
+
+class _Locator(_CacheLocator):
+    """Says where the machine code of a kernel lies: Numba's settings stay as they are."""
+
+    def __init__(self, py_func: Any, py_file: str) -> None:
+        self._py_file = py_file  # Numba's warnings name it
+        self._line = py_func.__code__.co_firstlineno
+        self._folder = CACHE_FOLDER / self.get_suitable_cache_subpath(py_file)
+
+    @classmethod
+    def from_function(cls, py_func: Any, py_file: str) -> _Locator | None:
+        locator = cls(py_func, py_file)
+        try:
+            locator.ensure_cache_path()
+        except OSError:
+            return None
+        return locator
+
+    def get_cache_path(self) -> str:
+        return str(self._folder)
+
+    def get_source_stamp(self) -> str:
+        return hashlib.sha256(Path(self._py_file).read_bytes()).hexdigest()
+
+    def get_disambiguator(self) -> str:
+        return str(self._line)
 
 
 class _IndexByClasses(IndexDataCacheFile):
@@ -65,6 +99,18 @@ class _IndexByClasses(IndexDataCacheFile):
         return IndexDataCacheFile(self._cache_path, f"{base}.{digest}", self._source_stamp)
 
 
+class _CacheImpl(CompileResultCacheImpl):
+    _locator_classes = (_Locator,)
+
+
+class _KernelCache(FunctionCache):
+    _impl_class = _CacheImpl
+
+    def __init__(self, py_func: Any) -> None:
+        super().__init__(py_func)
+        self._cache_file.__class__ = _IndexByClasses
+
+
 def _outside_classes(kinds: Any) -> Iterator[str]:
     """Names of the NamedTuples in Numba's types that are not of this package."""
     for kind in kinds:
@@ -90,11 +136,11 @@ def kernel(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     def decorate(function: Callable[..., Any]) -> Any:
         is_ours = Path(function.__code__.co_filename).resolve().is_relative_to(PACKAGE)
         cache = options.pop("cache", is_ours)
-        dispatcher = njit(
-            error_model="numpy", _nrt=False, cache=cache, no_cfunc_wrapper=True, **options
-        )(function)
+        dispatcher = njit(error_model="numpy", _nrt=False, no_cfunc_wrapper=True, **options)(
+            function
+        )
         if cache and isinstance(dispatcher, CPUDispatcher):  # else NUMBA_DISABLE_JIT is set
-            dispatcher._cache._cache_file.__class__ = _IndexByClasses
+            dispatcher._cache = _KernelCache(function)
         return dispatcher
 
     return decorate

@@ -6,8 +6,10 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from hiersched.core.extras import naming_extras
 from hiersched.env.core import SlotLoop, action_weights
 from hiersched.env.features import agent_views
 from hiersched.policies.features import FEATURE_VERSION, FEATURES
@@ -34,7 +36,6 @@ _LAZY = {"SlicingEnv": "single", "SlicingParallelEnv": "parallel", "SlicingVecto
 def __getattr__(name: str) -> Any:
     """Load an adapter on first use."""
     if name in _LAZY:
-        from importlib import import_module
-
-        return getattr(import_module(f"hiersched.env.{_LAZY[name]}"), name)
+        with naming_extras():
+            return getattr(import_module(f"hiersched.env.{_LAZY[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

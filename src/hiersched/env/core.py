@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from hiersched.scenario.schema import Learning, Scenario
 from hiersched.simulator import Gains, Simulator, SlotRecord
+from hiersched.simulator.gain_source import scenario_gains
 
 
 def action_weights(actions: NDArray[np.floating], weight_exponent: float) -> NDArray[np.float64]:
@@ -40,11 +41,11 @@ class SlotLoop:
     scenario
         The validated scenario.
     gains
-        Gain schedule of the robots.
+        Gains of the robots; `scenario_gains` unless given.
     keys
         Worlds of the first episode, shape (E,).
     num_slots
-        Slots of an episode.
+        Slots of an episode; those of the scenario's training unless given.
 
     Attributes
     ----------
@@ -56,8 +57,14 @@ class SlotLoop:
     """
 
     def __init__(
-        self, scenario: Scenario, gains: Gains, keys: NDArray[np.uint64], num_slots: int
+        self,
+        scenario: Scenario,
+        gains: Gains | None,
+        keys: NDArray[np.uint64],
+        num_slots: int | None = None,
     ) -> None:
+        gains = scenario_gains(scenario) if gains is None else gains
+        num_slots = scenario.learning.slots_per_episode if num_slots is None else num_slots
         self.simulator = Simulator(scenario, gains, keys, num_slots)
         self.record: SlotRecord = self.simulator.new_record(1)
         self.multipliers = np.zeros((len(keys), scenario.users.num_urllc))

@@ -32,7 +32,7 @@ class SlicingParallelEnv(ParallelEnv):
     scenario
         The validated scenario.
     gains
-        Gain schedule of the robots.
+        Gains of the robots; `scenario_gains` unless given.
     num_slots
         Slots of an episode; those of the scenario's training unless given.
     """
@@ -42,7 +42,9 @@ class SlicingParallelEnv(ParallelEnv):
         "render_modes": [],
     }
 
-    def __init__(self, scenario: Scenario, gains: Gains, *, num_slots: int | None = None) -> None:
+    def __init__(
+        self, scenario: Scenario, gains: Gains | None = None, *, num_slots: int | None = None
+    ) -> None:
         self.possible_agents = list(AGENTS)
         self.agents: list[str] = []
         self._scenario = scenario
@@ -59,8 +61,7 @@ class SlicingParallelEnv(ParallelEnv):
             for agent, count in zip(AGENTS, counts, strict=True)
         }
         self._worlds = EpisodeWorlds(1)
-        slots = scenario.learning.slots_per_episode if num_slots is None else num_slots
-        self._loop = SlotLoop(scenario, gains, self._worlds.coming(), slots)
+        self._loop = SlotLoop(scenario, gains, self._worlds.coming(), num_slots)
 
     def observation_space(self, agent: str) -> spaces.Box:
         """Return the observation space of an agent, always the same object."""

@@ -23,7 +23,7 @@ class SlicingEnv(gymnasium.Env):
     scenario
         The validated scenario.
     gains
-        Gain schedule of the robots.
+        Gains of the robots; `scenario_gains` unless given.
     num_slots
         Slots of an episode; those of the scenario's training unless given.
     """
@@ -32,12 +32,13 @@ class SlicingEnv(gymnasium.Env):
         "render_modes": []
     }
 
-    def __init__(self, scenario: Scenario, gains: Gains, *, num_slots: int | None = None) -> None:
+    def __init__(
+        self, scenario: Scenario, gains: Gains | None = None, *, num_slots: int | None = None
+    ) -> None:
         self.observation_space, self.action_space = user_spaces(scenario)
         self._scenario = scenario
         self._worlds = EpisodeWorlds(1)
-        slots = scenario.learning.slots_per_episode if num_slots is None else num_slots
-        self._loop = SlotLoop(scenario, gains, self._worlds.coming(), slots)
+        self._loop = SlotLoop(scenario, gains, self._worlds.coming(), num_slots)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

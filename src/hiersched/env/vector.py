@@ -53,7 +53,7 @@ class SlicingVectorEnv(VectorEnv):
     scenario
         The validated scenario.
     gains
-        Gain schedule of the robots.
+        Gains of the robots; `scenario_gains` unless given.
     num_envs
         E.
     num_slots
@@ -66,7 +66,12 @@ class SlicingVectorEnv(VectorEnv):
     }
 
     def __init__(
-        self, scenario: Scenario, gains: Gains, num_envs: int, *, num_slots: int | None = None
+        self,
+        scenario: Scenario,
+        gains: Gains | None = None,
+        num_envs: int = 1,
+        *,
+        num_slots: int | None = None,
     ) -> None:
         self.num_envs = num_envs
         self.single_observation_space, self.single_action_space = user_spaces(scenario)
@@ -74,8 +79,7 @@ class SlicingVectorEnv(VectorEnv):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._scenario = scenario
         self._worlds = EpisodeWorlds(num_envs)
-        slots = scenario.learning.slots_per_episode if num_slots is None else num_slots
-        self._loop = SlotLoop(scenario, gains, self._worlds.coming(), slots)
+        self._loop = SlotLoop(scenario, gains, self._worlds.coming(), num_slots)
 
     @property
     def multipliers(self) -> NDArray[np.float64]:

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hiersched.core.extras import naming_extras
 from hiersched.log import LogReader, topic_frame
 from hiersched.log.schema import EVENTS_TOPIC
 
@@ -109,12 +110,8 @@ def export_for_viewers(path: str | os.PathLike[str], folder: str | os.PathLike[s
 
 
 def _need_pyarrow() -> None:
-    try:
+    with naming_extras():
         import pyarrow  # noqa: F401
-    except ImportError as error:
-        raise ImportError(
-            "Parquet needs pyarrow, which is not installed: pip install 'hiersched[parquet]'"
-        ) from error
 
 
 def _write(table: DataFrame, part: Path, form: str) -> None:

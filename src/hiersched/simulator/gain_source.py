@@ -1,0 +1,87 @@
+"""Where the gains of a scenario come from: the package ships some, others are designed."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+from hiersched.control import GainSchedule, build_schedule
+from hiersched.control.gain_schedule import DESIGN_VERSION
+from hiersched.scenario import Scenario, scenario_to_dict
+from hiersched.scenario.plugins import CONFIG
+from hiersched.simulator.loop_gains import LoopGains, loop_gains, plant_of
+
+SHIPPED = CONFIG / "gains"
+
+DESIGN_KEYS = (
+    "control.sampling_s",
+    "control.weight",
+    "control.max_delay_s",
+    "control.loop",
+    "control.operator_share",
+    "control.method",
+    "control.decay_rate",
+    "robot.speed_mps",
+    "robot.actuator_lag_s",
+    "plant.model",
+)
+"""What every design reads; `design_values` adds the keys of the plant."""
+
+
+def design_values(scenario: Scenario) -> str:
+    """Return what a gain schedule depends on, as canonical JSON."""
+    own = scenario.plant.design_keys
+    plant = ("plant",) if own is None else tuple(f"plant.{name}" for name in own)
+    data = scenario_to_dict(scenario)
+    values: dict[str, Any] = {}
+    for key in dict.fromkeys((*DESIGN_KEYS, *plant)):
+        value: Any = data
+        for part in key.split("."):
+            value = value[part]
+        values[key] = value
+    return json.dumps(values, sort_keys=True)
+
+
+def shipped_file(scenario: Scenario) -> Path:
+    """Path of a scenario's schedule among those that the package ships, whether it is there or not.
+
+    It is named after the values of the design: the matrices that follow from them differ in their
+    last bits from one processor to another.
+    """
+    text = f"{DESIGN_VERSION} {design_values(scenario)}"
+    return SHIPPED / f"{hashlib.sha256(text.encode()).hexdigest()[:16]}.json"
+
+
+def design_schedule(scenario: Scenario) -> GainSchedule:
+    """Design the gains of a scenario.
+
+    Raises
+    ------
+    MissingExtraError
+        If the extra `control`, which solves the matrix inequalities, is not installed.
+    """
+    control = scenario.control
+    return build_schedule(
+        plant_of(scenario), scenario.max_delay_steps, control.method, decay_rate=control.decay_rate
+    )
+
+
+def scenario_schedule(scenario: Scenario) -> GainSchedule:
+    """Return the gain schedule of a scenario: a shipped one, or else one that is designed now.
+
+    Raises
+    ------
+    MissingExtraError
+        As `design_schedule`.
+    """
+    path = shipped_file(scenario)
+    if path.is_file():
+        return GainSchedule.from_json(path.read_text(encoding="utf-8"))
+    return design_schedule(scenario)
+
+
+def scenario_gains(scenario: Scenario) -> LoopGains:
+    """Return the gains of a scenario's loop, from `scenario_schedule`."""
+    return loop_gains(scenario_schedule(scenario), scenario.control.gain)
