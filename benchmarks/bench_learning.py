@@ -19,12 +19,12 @@ from common import Figure, cpu_seconds, main, paper
 
 # isort: split
 import numpy as np
+from hiersched.runs.gains import design_gains
 
 from hiersched.core.randomness import world_keys
 from hiersched.env import SlicingEnv
 from hiersched.learning.policy import single_thread
 from hiersched.learning.trainer import Trainer
-from hiersched.runs.gains import design_gains
 from hiersched.scenario import Scenario
 from hiersched.simulator import Gains, Simulator
 from hiersched.simulator.loop_gains import loop_gains

@@ -28,6 +28,9 @@ import numpy as np
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from google.protobuf.descriptor_pool import DescriptorPool
 from google.protobuf.message_factory import GetMessageClass
+from hiersched.runs.gains import design_gains
+from hiersched.runs.learned import learned_policies
+from hiersched.runs.policies import PolicySource, untrained_policies
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.decoder import DecoderFactory
@@ -37,9 +40,6 @@ from hiersched.log import TOPICS, LogDims, LogReader, LogWriter
 from hiersched.log.schema import descriptor_set, topics_in
 from hiersched.runs import evaluate as stage
 from hiersched.runs import paths
-from hiersched.runs.gains import design_gains
-from hiersched.runs.learned import learned_policies
-from hiersched.runs.policies import PolicySource, untrained_policies
 from hiersched.scenario import Scenario
 from hiersched.simulator import Simulator
 from hiersched.simulator.loop_gains import LoopGains, plant_of

@@ -17,6 +17,10 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import yaml
+from hiersched.runs.evaluate import evaluate
+from hiersched.runs.gains import design_gains
+from hiersched.runs.policies import untrained_policies
+from hiersched.runs.variants import check_variants, learner_scenario
 from numba.core.caching import _CacheLocator
 
 from hiersched.cli import main
@@ -24,10 +28,6 @@ from hiersched.core import registry
 from hiersched.core.compiled import CACHE_FOLDER
 from hiersched.core.randomness import world_keys
 from hiersched.runs import paths
-from hiersched.runs.evaluate import evaluate
-from hiersched.runs.gains import design_gains
-from hiersched.runs.policies import untrained_policies
-from hiersched.runs.variants import check_variants, learner_scenario
 from hiersched.scenario import Scenario, load_scenario
 from hiersched.simulator import Simulator
 from hiersched.simulator.check import ModelCheckError, check_models
@@ -217,9 +217,10 @@ def test_a_log_of_a_plugin_replays(pages, policies, tiny_with, folder, capsys):
 
 
 def test_the_learner_trains_runs_and_replays(tiny_with, folder, capsys):
-    from hiersched.learning.trainer import train
     from hiersched.runs.learned import learned_policies
     from hiersched.runs.train import train_and_log
+
+    from hiersched.learning.trainer import train
 
     study = tiny_with("learner", evaluate={"policies": ["evolved"]})
     scenario = learner_scenario(study, "evolved")

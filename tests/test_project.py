@@ -13,9 +13,9 @@ from typing import Any
 import grimp
 import pytest
 import yaml
+from hiersched.runs.paths import FIGURES, TABLES
 
 from hiersched.core.extras import EXTRA_OF
-from hiersched.runs.paths import FIGURES, TABLES
 from hiersched.scenario import load_scenario
 
 MAX_FILE_BYTES = 1024 * 1024

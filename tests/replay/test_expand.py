@@ -8,6 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hiersched.runs.evaluate import evaluate
+from hiersched.runs.learned import learned_policies
+from hiersched.runs.policies import untrained_policies
+from hiersched.runs.train import train_and_log
 
 from hiersched.cli import main
 from hiersched.log import LogReader, log_digest
@@ -15,11 +19,7 @@ from hiersched.replay.compare import compare_logs
 from hiersched.replay.expand import expand
 from hiersched.replay.verify import verify
 from hiersched.runs import paths
-from hiersched.runs.evaluate import evaluate
-from hiersched.runs.learned import learned_policies
 from hiersched.runs.logged import load_run
-from hiersched.runs.policies import untrained_policies
-from hiersched.runs.train import train_and_log
 from hiersched.scenario import Scenario
 
 TRAINING = "train/ddpg/seed1.mcap"

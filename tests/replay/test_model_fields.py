@@ -10,6 +10,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hiersched.runs.evaluate import evaluate
+from hiersched.runs.gain_study import gain_study
+from hiersched.runs.policies import untrained_policies
 
 from hiersched.cli import main
 from hiersched.core import registry
@@ -17,10 +20,7 @@ from hiersched.log import LogError, LogReader, log_digest
 from hiersched.replay.expand import expand
 from hiersched.replay.verify import verify
 from hiersched.runs import paths
-from hiersched.runs.evaluate import evaluate
-from hiersched.runs.gain_study import gain_study
 from hiersched.runs.logged import load_run, read_slots
-from hiersched.runs.policies import untrained_policies
 from hiersched.scenario import load_scenario
 
 PLUGIN = '''

@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from hiersched.runs.gain_study import delays_of_run, gain_sweep
+from hiersched.runs.gains import design_gains
+from hiersched.runs.variants import gain_designs
 
 from hiersched.log import TOPICS, LogError, LogReader, LogWriter
 from hiersched.replay.expand import expand
 from hiersched.replay.verify import verify
 from hiersched.runs import logged, paths
-from hiersched.runs.gain_study import delays_of_run, gain_sweep
-from hiersched.runs.gains import design_gains
 from hiersched.runs.logged import load_run
-from hiersched.runs.variants import gain_designs
 from hiersched.scenario import Scenario
 
 FULL = "eval/edf/seed12.mcap"

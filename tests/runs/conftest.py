@@ -6,10 +6,10 @@ import shutil
 from pathlib import Path
 
 import pytest
-
-from hiersched.runs import paths
 from hiersched.runs.gains import design_gains
 from hiersched.runs.variants import gain_designs
+
+from hiersched.runs import paths
 from hiersched.scenario import Scenario, load_scenario
 
 TINY = """

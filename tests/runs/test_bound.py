@@ -8,17 +8,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from hiersched.allocation.exact import exact_allocation, lagrangian, owned_rates
-from hiersched.log import LogReader
-from hiersched.policies.exact import slot_terms
-from hiersched.runs import paths
 from hiersched.runs.bound import compute_bound, greedy_assignment, sampled_slots
 from hiersched.runs.evaluate import evaluate
 from hiersched.runs.gains import load_gains
 from hiersched.runs.generalise import generalise
 from hiersched.runs.policies import seed_worlds, untrained_policies
 from hiersched.runs.variants import cell_scenario, swept_policies
+
+from hiersched.allocation.exact import exact_allocation, lagrangian, owned_rates
+from hiersched.log import LogReader
+from hiersched.policies.exact import slot_terms
+from hiersched.runs import paths
 from hiersched.scenario import Scenario, ScenarioError
 from hiersched.simulator import Simulator
 

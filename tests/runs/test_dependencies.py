@@ -10,10 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
-from hiersched.models.model import SECTIONS
-from hiersched.runs import dependencies, paths, stability
-from hiersched.runs import gains as gains_stage
 from hiersched.runs.bound import compute_bound
 from hiersched.runs.evaluate import evaluate
 from hiersched.runs.gain_points import GAIN_SWEEPS
@@ -23,6 +19,10 @@ from hiersched.runs.learned import learned_policies
 from hiersched.runs.policies import untrained_policies
 from hiersched.runs.sweep import sweep
 from hiersched.runs.variants import replaced
+
+from hiersched.models.model import SECTIONS
+from hiersched.runs import dependencies, paths, stability
+from hiersched.runs import gains as gains_stage
 from hiersched.scenario import Scenario
 from hiersched.scenario.schema import model_at
 from hiersched.study.metrics import measured_row

@@ -3,13 +3,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from hiersched.runs.gains import load_gains
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from hiersched.control import Certificate, build_schedule
 from hiersched.runs.events import slot_events, stretches
-from hiersched.runs.gains import load_gains
 from hiersched.scenario import Scenario
 from hiersched.simulator.loop_gains import plant_of
 

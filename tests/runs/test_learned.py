@@ -8,21 +8,21 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from hiersched.runs.crossed import slots_of
+from hiersched.runs.evaluate import evaluate
+from hiersched.runs.gains import load_gains
+from hiersched.runs.generalise import generalise
+from hiersched.runs.learned import learned_policies
+from hiersched.runs.policies import run_worlds, seed_worlds
+from hiersched.runs.sweep import sweep
+from hiersched.runs.train import train_and_log
 
 from hiersched.core.randomness import world_keys
 from hiersched.learning.policy import TrainedPolicy
 from hiersched.log import LogReader
 from hiersched.runs import paths
 from hiersched.runs import train as stage
-from hiersched.runs.crossed import slots_of
-from hiersched.runs.evaluate import evaluate
-from hiersched.runs.gains import load_gains
-from hiersched.runs.generalise import generalise
-from hiersched.runs.learned import learned_policies
 from hiersched.runs.logging import RunLabel
-from hiersched.runs.policies import run_worlds, seed_worlds
-from hiersched.runs.sweep import sweep
-from hiersched.runs.train import train_and_log
 from hiersched.scenario import Scenario
 from hiersched.scenario.schema import checkpoint_rounds
 from hiersched.simulator import Simulator

@@ -6,15 +6,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from hiersched.runs.evaluate import evaluate
+from hiersched.runs.gains import design_gains
+from hiersched.runs.policies import untrained_policies
+from hiersched.runs.variants import design_of, gain_designs, study_scenario
 
 from hiersched.log import LogReader
 from hiersched.replay.verify import verify
 from hiersched.runs import paths
-from hiersched.runs.evaluate import evaluate
-from hiersched.runs.gains import design_gains
 from hiersched.runs.logged import load_run
-from hiersched.runs.policies import untrained_policies
-from hiersched.runs.variants import design_of, gain_designs, study_scenario
 from hiersched.scenario import Scenario, load_scenario
 
 

@@ -8,9 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from hiersched.control import GainSchedule, spectral_radius_by_delay
-from hiersched.runs import stability
 from hiersched.runs.stability import (
     adjusted_delay,
     certified_delays,
@@ -18,6 +15,9 @@ from hiersched.runs.stability import (
     longest_delay,
     write_stability,
 )
+
+from hiersched.control import GainSchedule, spectral_radius_by_delay
+from hiersched.runs import stability
 from hiersched.scenario import Scenario
 from hiersched.simulator.loop_gains import plant_of
 

@@ -8,15 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-
-from hiersched.core.randomness import world_key
-from hiersched.log import LogReader
-from hiersched.runs import paths
 from hiersched.runs.evaluate import evaluate
 from hiersched.runs.gain_study import forced_delays, gain_study, gain_sweep
 from hiersched.runs.gains import design_gains, load_gains
 from hiersched.runs.policies import seed_worlds, untrained_policies
 from hiersched.runs.sweep import sweep
+
+from hiersched.core.randomness import world_key
+from hiersched.log import LogReader
+from hiersched.runs import paths
 from hiersched.scenario import Scenario, load_scenario, scenario_sha256
 from hiersched.simulator import Simulator
 

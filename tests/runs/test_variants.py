@@ -4,8 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-
-from hiersched.runs import paths
 from hiersched.runs.gain_points import GAIN_SWEEPS, gain_points
 from hiersched.runs.variants import (
     SWEPT_KEYS,
@@ -22,6 +20,8 @@ from hiersched.runs.variants import (
     value_text,
     weighted_scenario,
 )
+
+from hiersched.runs import paths
 from hiersched.scenario import (
     Scenario,
     ScenarioError,

@@ -9,13 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
-
-from hiersched.control import Certificate, GainSchedule
-from hiersched.core.files import csv_text, write_bytes
-from hiersched.log import TOPICS, LogDims, LogWriter
-from hiersched.runs import paths
 from hiersched.runs.gain_points import GAIN_SWEEPS, GainPoint, gain_points
-from hiersched.runs.logged import RunSlots
 from hiersched.runs.variants import (
     SWEPT_KEYS,
     cell_text,
@@ -24,10 +18,16 @@ from hiersched.runs.variants import (
     swept_policies,
     swept_values,
 )
+from hiersched.study.collect import write_measures
+
+from hiersched.control import Certificate, GainSchedule
+from hiersched.core.files import csv_text, write_bytes
+from hiersched.log import TOPICS, LogDims, LogWriter
+from hiersched.runs import paths
+from hiersched.runs.logged import RunSlots
 from hiersched.scenario import Scenario, load_scenario
 from hiersched.scenario.schema import checkpoint_rounds
 from hiersched.simulator.loop_gains import plant_of
-from hiersched.study.collect import write_measures
 from hiersched.study.fifo import backlog_path, deadline_in_slots, late_packets
 from hiersched.study.metrics import measured_row
 

@@ -9,10 +9,6 @@ from typing import get_args
 import numpy as np
 import pandas as pd
 import pytest
-from scipy import stats
-
-from hiersched.scenario import Scenario
-from hiersched.study.claims import judge
 from hiersched.study.claims_report import (
     BEGIN,
     END,
@@ -22,8 +18,6 @@ from hiersched.study.claims_report import (
     write_claims,
 )
 from hiersched.study.sensitivities import Frames
-from hiersched.study.statistics import Interval, halvings, mean_interval
-from hiersched.study.tables import write_tables
 from hiersched.study.verdicts import (
     Claim,
     Condition,
@@ -33,6 +27,12 @@ from hiersched.study.verdicts import (
     flipping,
     verdict_of,
 )
+from scipy import stats
+
+from hiersched.scenario import Scenario
+from hiersched.study.claims import judge
+from hiersched.study.statistics import Interval, halvings, mean_interval
+from hiersched.study.tables import write_tables
 
 
 def statement(lo: float, hi: float, **claimed: float) -> Statement:

@@ -7,11 +7,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.text import Annotation
-
-from hiersched.scenario import Scenario
 from hiersched.study.collect import (
     cell_frame,
     evaluation_frame,
@@ -21,7 +16,6 @@ from hiersched.study.collect import (
 )
 from hiersched.study.comparison import bound_frame, bound_table, generalisation_table
 from hiersched.study.distributions import delay_tails
-from hiersched.study.figures import build_figures, draw_figures
 from hiersched.study.figures_comparison import draw_load, draw_pareto, pareto_front
 from hiersched.study.figures_delay import draw_violations
 from hiersched.study.figures_gain import draw_gain
@@ -36,6 +30,12 @@ from hiersched.study.style import (
     zero_floor,
 )
 from hiersched.study.summary import gain_table, policy_table, sweep_table
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.text import Annotation
+
+from hiersched.scenario import Scenario
+from hiersched.study.figures import build_figures, draw_figures
 
 NAMES = (
     "fig2_rewards fig3_queues fig4_rate_cdf fig5_rayleigh fig6_sampling fig7_dexterity "

@@ -8,9 +8,6 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from matplotlib.axes import Axes
-
-from hiersched.scenario import Scenario
 from hiersched.study.collect import gain_schedules
 from hiersched.study.figures_gain_grid import draw_gain_grid
 from hiersched.study.figures_gain_sweeps import (
@@ -34,8 +31,11 @@ from hiersched.study.gain_summary import (
     methods_table,
     sweeps_table,
 )
-from hiersched.study.statistics import Interval
 from hiersched.study.style import house_style
+from matplotlib.axes import Axes
+
+from hiersched.scenario import Scenario
+from hiersched.study.statistics import Interval
 
 
 @pytest.fixture(scope="module")

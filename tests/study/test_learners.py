@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-
-from hiersched.scenario import Scenario
 from hiersched.study.collect import checkpoint_frames, sweep_frame, training_frames
 from hiersched.study.comparison import CELL_MEASURES
 from hiersched.study.figures_learners import draw_learners, draw_learning
 from hiersched.study.learners import differing_keys, learner_table
 from hiersched.study.style import house_style, policy_look
 from hiersched.study.summary import sweep_table
+
+from hiersched.scenario import Scenario
 
 SHARES = [name for name in CELL_MEASURES if name.endswith("_share")]
 

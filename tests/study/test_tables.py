@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from hiersched.study.collect import measure_group
+from hiersched.study.comparison import BACKLOG, best_classical, score_table
+from hiersched.study.summary import comparison_table, measures, policy_table
 from scipy import stats
 
 from hiersched.log import LogReader
 from hiersched.scenario import Scenario
-from hiersched.study.collect import measure_group
-from hiersched.study.comparison import BACKLOG, best_classical, score_table
 from hiersched.study.metrics import run_metrics
 from hiersched.study.statistics import skewed_interval, smallest_mean
-from hiersched.study.summary import comparison_table, measures, policy_table
 from hiersched.study.tables import interval_text, markdown_text, parameter_table, write_tables
 
 SYMMETRIC = "urllc_rate_mbps embb_rate_mbps dexterity_index".split()

@@ -20,11 +20,11 @@ def add_commands(commands: Any) -> None:
 
 
 def _check(parsed: argparse.Namespace) -> int:
-    from hiersched.runs.variants import check_variants
+    from hiersched.experiments.points import experiments
     from hiersched.scenario import load_scenario
 
     scenario = load_scenario(parsed.file)
-    check_variants(scenario)
+    experiments(scenario)
     print(
         f"{parsed.file}: scenario {scenario.name} is fine: {scenario.users.num_urllc} URLLC and "
         f"{scenario.users.num_embb} eMBB users, {scenario.radio.num_prb} PRBs"

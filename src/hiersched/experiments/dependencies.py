@@ -17,13 +17,14 @@ from typing import TYPE_CHECKING, Any
 from hiersched.core.registry import ALGORITHMS, registered_files
 from hiersched.core.seam import outside_files
 from hiersched.experiments.fingerprint import code_fingerprint
-from hiersched.experiments.gains import design_values, designs
+from hiersched.experiments.gains import designs
 from hiersched.experiments.points import Experiment, experiments, groups, learner_scenario
 from hiersched.models.model import SECTIONS
 from hiersched.policies.imported import ImportedPolicy
 from hiersched.scenario import Scenario, scenario_to_dict
 from hiersched.scenario.plugins import plugin_modules
 from hiersched.scenario.schema import model_at
+from hiersched.simulator.gain_source import design_values
 
 if TYPE_CHECKING:
     from hiersched.study.registry import Shown
@@ -119,7 +120,7 @@ def sources_sha256(module: ModuleType) -> str:
 
 
 def outside_sources(thing: Shown) -> dict[str, str]:
-    """Return the hash of what a registered thing of a plug-in consists of; ours stand for itself."""
+    """Return the hash of the sources of a registered thing, where it is a plug-in's."""
     return _outside_hash(sys.modules[thing.module])
 
 

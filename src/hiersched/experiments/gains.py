@@ -11,37 +11,9 @@ from typing import Any
 from hiersched.control import GainSchedule, load_or_build
 from hiersched.control.gain_schedule import design_key
 from hiersched.experiments.points import Experiment, experiments, value_text
-from hiersched.scenario import Scenario, scenario_to_dict
+from hiersched.scenario import Scenario
+from hiersched.simulator.gain_source import design_values
 from hiersched.simulator.loop_gains import LoopGains, loop_gains, plant_of
-
-DESIGN_KEYS = (
-    "control.sampling_s",
-    "control.weight",
-    "control.max_delay_s",
-    "control.loop",
-    "control.operator_share",
-    "control.method",
-    "control.decay_rate",
-    "robot.speed_mps",
-    "robot.actuator_lag_s",
-    "plant.model",
-)
-"""What every design reads; `design_values` adds the keys of the plant."""
-
-
-@lru_cache(maxsize=1024)
-def design_values(scenario: Scenario) -> str:
-    """Return what a gain schedule depends on, as canonical JSON."""
-    own = scenario.plant.design_keys
-    plant = ("plant",) if own is None else tuple(f"plant.{name}" for name in own)
-    data = scenario_to_dict(scenario)
-    values: dict[str, Any] = {}
-    for key in dict.fromkeys((*DESIGN_KEYS, *plant)):
-        value: Any = data
-        for part in key.split("."):
-            value = value[part]
-        values[key] = value
-    return json.dumps(values, sort_keys=True)
 
 
 @lru_cache(maxsize=8)

@@ -84,6 +84,22 @@ class ForcedDelays:
         return ForcedDelays(**{name: tuple(values) for name, values in json.loads(text).items()})
 
 
+def logged_delays(scenario: Scenario, metadata: Mapping[str, str]) -> ForcedDelays:
+    """Return the forced delays of a log of the gain study, from its scenario and metadata.
+
+    Logs of release 0.1 do not carry them: they follow from the point of the sweep.
+    """
+    if "delays" in metadata:
+        return ForcedDelays.from_json(metadata["delays"])
+    study, axis, value = scenario.gain_study, metadata["axis"], metadata["value"]
+    bounds, windows = study.violation_delay_s, study.violation_windows
+    if axis:
+        windows = tuple(range(2, study.sweep_windows + 1))
+    if axis == "grid":
+        bounds = (float(value.partition("_")[2]),) * 2
+    return ForcedDelays(windows=windows, violation_s=bounds, calm_s=study.calm_delay_s)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Point:
     """A point of an experiment.

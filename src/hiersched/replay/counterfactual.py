@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hiersched.experiments.worlds import RunnablePolicy, untrained_policies
 from hiersched.log import LogError
 from hiersched.policies.find import untrained_names
 from hiersched.runs.logged import LoggedRun
 from hiersched.runs.logging import RunLabel, log_block, open_log
-from hiersched.runs.policies import RunnablePolicy, untrained_policies
 from hiersched.simulator import Simulator
 from hiersched.simulator.simulator import AnyPolicy
 
@@ -81,8 +81,8 @@ def _own_policy(run: LoggedRun) -> NamedPolicy:
 
 def _trained(run: LoggedRun, weights: bytes) -> NamedPolicy:
     """Make a policy of its weights, taken to the scenario's numbers of users."""
+    from hiersched.experiments.learned import runnable
     from hiersched.learning.policy import TrainedPolicy
-    from hiersched.runs.learned import runnable
 
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder, "policy.pt")

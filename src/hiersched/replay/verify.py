@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.core.model_fields import element_name
+from hiersched.experiments.points import logged_delays
 from hiersched.log import TOPICS, LogReader
 from hiersched.log.schema import MODELS_TOPIC
 from hiersched.models.model import model_fields
@@ -17,7 +18,6 @@ from hiersched.policies.find import find_policy, untrained_names
 from hiersched.policies.policy import LoggedDecisions, LoggedWeights
 from hiersched.policies.registry import Rule
 from hiersched.runs.events import slot_events
-from hiersched.runs.gain_study import delays_of_run
 from hiersched.runs.logged import Batch, LoggedRun
 from hiersched.runs.logging import logged_fields
 from hiersched.simulator import Simulator, SlotRecord
@@ -157,9 +157,8 @@ def _decider(run: LoggedRun, logged: Fields) -> AnyPolicy:
 
 def _forced_delays(run: LoggedRun, batch: Batch) -> NDArray[np.float64]:
     """Network delays of the batch [s], shape (1, T, R)."""
-    axis, value = (run.metadata.get(key, "") for key in ("axis", "value"))
-    delays = delays_of_run(run.scenario, axis, value, run.keys, batch.stop_slot)
-    return delays[:, batch.first_slot :]
+    delays = logged_delays(run.scenario, run.metadata)
+    return delays.draw(run.scenario, run.keys, batch.stop_slot)[:, batch.first_slot :]
 
 
 def _start(run: LoggedRun, batch: Batch, logged: Fields) -> tuple[Simulator, NDArray[np.float64]]:

@@ -20,7 +20,7 @@ from hiersched.runs.events import slot_events
 from hiersched.scenario import Scenario, scenario_sha256, scenario_to_yaml
 
 if TYPE_CHECKING:
-    from hiersched.runs.policies import WorldRun
+    from hiersched.experiments.worlds import WorldRun
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,11 +205,3 @@ def slice_fields(
             packets = fields[f"{kind}_packets"][..., users]
             slices[f"{kind}_{name}_packets"] = packets.sum(axis=-1, dtype=np.uint32)
     return slices
-
-
-def clear_logs(folder: Path, keep: set[Path]) -> None:
-    """Remove logs and measures of a folder that are not among `keep`: nobody asks for them now."""
-    for pattern in ("*.mcap*", "*crossed.csv"):
-        for path in folder.glob(pattern):
-            if path not in keep:
-                path.unlink()

@@ -21,7 +21,6 @@ from hiersched.scenario.reference_file import reference_faults
 from hiersched.scenario.schema import (
     Learning,
     Scenario,
-    delay_steps,
     model_at,
 )
 

@@ -241,7 +241,7 @@ def with_values(scenario: Scenario, values: Mapping[str, Any], what: str) -> Sce
     data = scenario_to_dict(scenario)
     for key, value in values.items():
         *parents, name = key.split(".")
-        inner = data
+        inner: Any = data
         for part in parents:
             inner = inner.get(part) if isinstance(inner, dict) else None
         if not isinstance(inner, dict) or name not in inner:

@@ -73,14 +73,14 @@ def scenario_notes(scenario: Scenario, defaults: Path | None = None) -> list[Par
         places = [place for place, note in enumerate(notes) if _section(note.key) == section]
         own = _model_notes(scenario, section, {notes[place].key: notes[place] for place in places})
         notes[places[0] : places[-1] + 1] = own
-    own = {f"sweeps.axes.{name}.vary" for name in scenario.sweeps.axes}
+    axes = {f"sweeps.axes.{name}.vary" for name in scenario.sweeps.axes}
     notes = [
-        note for note in notes if not note.key.startswith("sweeps.axes.") or _kept(note.key, own)
+        note for note in notes if not note.key.startswith("sweeps.axes.") or _kept(note.key, axes)
     ]
     known = {note.key for note in notes}
     notes += [
         ParameterNote(key=key, unit="values", origin="assumed", meaning="a sweep")
-        for key in sorted(own - known)
+        for key in sorted(axes - known)
     ]
     for name, policy in scenario.policies.items():
         if not isinstance(policy, ImportedPolicy):

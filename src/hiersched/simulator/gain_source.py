@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ DESIGN_KEYS = (
 """What every design reads; `design_values` adds the keys of the plant."""
 
 
+@lru_cache(maxsize=1024)
 def design_values(scenario: Scenario) -> str:
     """Return what a gain schedule depends on, as canonical JSON."""
     own = scenario.plant.design_keys

@@ -144,7 +144,7 @@ def _measure_runs(
         run = read_slots(path, (*MEASURED, *(("mean_fading_power",) if evaluated else ())))
         sojourns = checked_sojourns(run, point.scenario)
         rows.append(metrics_row(slot_metrics(run, point.scenario, sojourns), point.scenario))
-        own = {**labels, "policy": policy, "seed": seed}
+        own: dict[str, Any] = {**labels, "policy": policy, "seed": seed}
         tables["windows"].append(_windows(run.fields, point.scenario).assign(**own))
         if evaluated:
             tables["slots"].append(_slots(run).assign(**own))
@@ -258,7 +258,7 @@ def _measure_gains(
         path = _existing(results / files.run_log(experiment, point, gain, seed))
         with LogReader(path, verify="chunks") as log:
             fields = log.read("/robots", ["tracking_error_m", "control_saturated"])
-        own = {**labels, "gain": gain, "seed": seed}
+        own: dict[str, Any] = {**labels, "gain": gain, "seed": seed}
         tables["windows"].append(_windows(fields, point.scenario).assign(**own))
         if experiment.axis or point.delays is None:
             continue

@@ -169,4 +169,4 @@ def _numbers(condition: JsonObject) -> str:
 
 def _number(statement: JsonObject) -> str:
     effect = statement["effect_size"]
-    return statement["text"] + ("" if effect is None else f", *d* = {effect:.2g}")
+    return f"{statement['text']}" + ("" if effect is None else f", *d* = {effect:.2g}")

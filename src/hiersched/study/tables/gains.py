@@ -348,7 +348,8 @@ def violated_table(study: Study) -> pd.DataFrame:
     """Return Table II: the violated windows under the scenario's own method."""
     gains = gain_table(study)
     own = gains["method"] == gains["method"].iloc[0]
-    return gains[own & gains["violated"]].drop(columns="violated")
+    violated: pd.DataFrame = gains[own & gains["violated"]]
+    return violated.drop(columns="violated")
 
 
 @table(

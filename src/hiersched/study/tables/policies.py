@@ -482,8 +482,8 @@ def learner_table(study: Study) -> pd.DataFrame:
     scenario, sweeps = study.scenario, study.sweeps
     rows = []
     own = scenario.learning.algorithm
-    load = axis_of(scenario, LOAD)
-    along = sweeps[(sweeps["axis"] == load) & sweeps["policy"].isin(list(scenario.learned))]
+    axis = axis_of(scenario, LOAD)
+    along = sweeps[(sweeps["axis"] == axis) & sweeps["policy"].isin(list(scenario.learned))]
     for load, group in along.groupby("value", sort=False):
         by_learner = {str(name): runs for name, runs in group.groupby("policy")}
         for learner in scenario.learned:
