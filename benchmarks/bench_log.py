@@ -64,8 +64,8 @@ def random_fields(slots: int, dims: LogDims = DIMS, seed: int = 0) -> dict[str, 
     rng = np.random.default_rng(seed)
     fields: dict[str, Any] = {}
     for topic in topics_in("full").values():
-        for field in topic.fields[1:]:
-            shape = (slots, *field.concrete_shape(dims))
+        for field in topic.fields:
+            shape = (slots, *field.sized(dims.sizes))
             if field.dtype == "<u4":
                 top = INTEGERS.get(field.name, 2)
                 fields[field.name] = rng.integers(0, top, shape, dtype=np.uint32)
@@ -122,7 +122,7 @@ def write_stock(path: Path, fields: dict[str, Any], compression: str) -> None:
         for slot in range(slots):
             for topic in topics_in("full").values():
                 message = classes[topic.name](slot=slot)
-                for field in topic.fields[1:]:
+                for field in topic.fields:
                     values = fields[field.name][slot]
                     if field.shape:
                         getattr(message, field.name).extend(values.ravel().tolist())

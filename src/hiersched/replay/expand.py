@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from hiersched.log import LogReader, LogWriter
 from hiersched.replay.verify import Difference, verify
@@ -20,7 +18,8 @@ def expand(run: LoggedRun, out: str | os.PathLike[str]) -> Difference | None:
     """Verify a log and write the same run in the profile ``full``.
 
     Metadata and attachments stay as they are; of a full log this is a copy with the same digest.
-    Weights that the log does not have are NaN in the new one.
+    Weights that the log does not have are NaN in the new one, which has the schema of this version
+    and so not the log's `unknown_fields`.
 
     Parameters
     ----------
@@ -48,12 +47,13 @@ def expand(run: LoggedRun, out: str | os.PathLike[str]) -> Difference | None:
             raise FileExistsError(f"{taken}: exists; expanding a log never overwrites a file")
     path.parent.mkdir(parents=True, exist_ok=True)
     scenario = run.scenario
+    own = ("profile", "schema_version")
     writer = LogWriter(
         path,
         log_dims(scenario),
         "full",
-        {key: text for key, text in run.metadata.items() if key != "profile"},
-        {name: data for name, data in run.attachments.items() if name != "hiersched.proto"},
+        {key: text for key, text in run.metadata.items() if key not in own},
+        run.attachments,
         slot_ns=round(scenario.radio.slot_s * 1e9),
         compression=scenario.log.compression,
         chunk_bytes=scenario.log.chunk_bytes,
@@ -61,7 +61,7 @@ def expand(run: LoggedRun, out: str | os.PathLike[str]) -> Difference | None:
 
     def write(batch: Batch, record: SlotRecord) -> None:
         count = batch.num_envs * batch.num_slots
-        fields: dict[str, NDArray[Any]] = {
+        fields = {
             name: np.ascontiguousarray(values).reshape(count, *values.shape[2:])
             for name, values in record._asdict().items()
         }

@@ -6,14 +6,12 @@ import json
 import math
 import os
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from hiersched.core.files import write_bytes
 from hiersched.log import LogReader, topic_frame
 from hiersched.log.schema import EVENTS_TOPIC
-
-if TYPE_CHECKING:
-    from pandas import DataFrame
 
 FORMS = ("csv", "parquet")
 
@@ -57,19 +55,21 @@ def export_tables(
     """
     if form not in FORMS:
         raise ValueError(f"form is {form!r}; allowed: {', '.join(FORMS)}")
-    if form == "parquet":
-        _need_pyarrow()
+    if form == "parquet" and find_spec("pyarrow") is None:
+        raise ImportError(
+            "Parquet needs pyarrow, which is not installed: pip install 'hiersched[parquet]'"
+        )
     written = []
     with LogReader(path) as log:
-        tables = topics or [*log.topics, EVENTS_TOPIC]
-        for topic in tables:
+        for topic in topics or [*log.topics, EVENTS_TOPIC]:
             table = topic_frame(log, topic, None, start_s, stop_s)
-            Path(folder).mkdir(parents=True, exist_ok=True)
-            file = Path(folder, f"{topic.removeprefix('/')}.{form}")
-            part = file.with_name(file.name + ".part")
-            _write(table, part, form)
-            os.replace(part, file)
-            written.append(file)
+            if form == "parquet":
+                data = table.to_parquet(index=False)
+            else:
+                # float32 as the shortest text that reads back to the same float32, as doubles are.
+                data = table.to_csv(index=False).encode()
+            name = topic.removeprefix("/").replace("/", "_")
+            written.append(write_bytes(Path(folder, f"{name}.{form}"), data))
     return written
 
 
@@ -92,34 +92,15 @@ def export_for_viewers(path: str | os.PathLike[str], folder: str | os.PathLike[s
     Raises
     ------
     LogError
-        If the log is damaged.
+        If the log is damaged, or lacks what is to be drawn.
     """
     from hiersched.replay.view import foxglove_layout
     from hiersched.replay.viewer_topics import write_viewer_topics
 
     with LogReader(path) as log:
         layout = foxglove_layout(log.dims)
-    Path(folder).mkdir(parents=True, exist_ok=True)
-    topics, panels = Path(folder, "viewer.mcap"), Path(folder, "foxglove.json")
+    topics = Path(folder, "viewer.mcap")
+    topics.parent.mkdir(parents=True, exist_ok=True)
     write_viewer_topics(path, topics)
-    part = panels.with_name(panels.name + ".part")
-    part.write_text(json.dumps(layout, indent=2) + "\n", encoding="utf-8")
-    os.replace(part, panels)
-    return [topics, panels]
-
-
-def _need_pyarrow() -> None:
-    try:
-        import pyarrow  # noqa: F401
-    except ImportError as error:
-        raise ImportError(
-            "Parquet needs pyarrow, which is not installed: pip install 'hiersched[parquet]'"
-        ) from error
-
-
-def _write(table: DataFrame, part: Path, form: str) -> None:
-    if form == "parquet":
-        table.to_parquet(part, index=False)
-    else:
-        # float32 as the shortest text that reads back to the same float32, as doubles are.
-        table.to_csv(part, index=False)
+    text = json.dumps(layout, indent=2) + "\n"
+    return [topics, write_bytes(Path(folder, "foxglove.json"), text.encode())]

@@ -7,18 +7,15 @@ import math
 import os
 from collections.abc import Iterator
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
-from google.protobuf.descriptor_pool import DescriptorPool
-from google.protobuf.message_factory import GetMessageClass
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from hiersched.log import LogError, LogReader
+from hiersched.log.schema import describe, message_class
 
 FRAME = "plane"
 IMAGE_TOPIC = "/allocation/image"
@@ -26,6 +23,17 @@ IMAGE_SLOTS = 100
 """Width of an image of the allocation [slots]: one pixel a slot and PRB."""
 
 _LIBRARY = "hiersched-viewer/1"
+_TIME = "google.protobuf.Timestamp timestamp"
+_MESSAGES = {  # numbers as in the public schemas of Foxglove
+    "foxglove.Vector3": ("double x", "double y", "double z"),
+    "foxglove.Quaternion": ("double x", "double y", "double z", "double w"),
+    "foxglove.Pose": ("foxglove.Vector3 position", "foxglove.Quaternion orientation"),
+    "foxglove.PoseInFrame": (_TIME, "string frame_id", "foxglove.Pose pose"),
+    "foxglove.RawImage": (
+        *(_TIME, "fixed32 width", "fixed32 height", "string encoding", "fixed32 step"),
+        *("bytes data", "string frame_id"),
+    ),
+}
 
 
 def pose_topics(num_robots: int) -> list[tuple[str, str]]:
@@ -72,16 +80,8 @@ def user_colours(num_urllc: int, num_embb: int) -> NDArray[np.uint8]:
 
 
 @cache
-def _message_class(name: str) -> Any:
-    pool = DescriptorPool()
-    for file in FileDescriptorSet.FromString(_descriptors()).file:
-        pool.Add(file)
-    return GetMessageClass(pool.FindMessageTypeByName(name))
-
-
-@cache
 def _descriptors() -> bytes:
-    return files("hiersched.log").joinpath("foxglove/Viewer.binpb").read_bytes()
+    return describe("foxglove/Viewer.proto", _MESSAGES)
 
 
 def write_viewer_topics(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> None:
@@ -100,7 +100,7 @@ def write_viewer_topics(path: str | os.PathLike[str], out: str | os.PathLike[str
     Raises
     ------
     LogError
-        If the log is damaged.
+        If the log is damaged, or does not have what is drawn.
     """
     target = Path(out)
     part = target.with_name(target.name + ".part")
@@ -141,7 +141,7 @@ def _messages(log: LogReader) -> Iterator[tuple[str, Any, int]]:
 
 
 def _pose_messages(log: LogReader) -> Iterator[tuple[str, Any, int]]:
-    if log.profile != "full":
+    if "/robots" not in log.topics or not {"state", "reference"} <= {*log.known_fields("/robots")}:
         raise LogError(
             log.path,
             0,
@@ -157,7 +157,7 @@ def _pose_messages(log: LogReader) -> Iterator[tuple[str, Any, int]]:
 
 
 def _pose(x: float, y: float, theta: float) -> Any:
-    message = _message_class("foxglove.PoseInFrame")(frame_id=FRAME)
+    message = message_class(_descriptors(), "foxglove.PoseInFrame")(frame_id=FRAME)
     message.pose.position.x, message.pose.position.y = x, y
     message.pose.orientation.z = math.sin(0.5 * theta)
     message.pose.orientation.w = math.cos(0.5 * theta)
@@ -167,7 +167,7 @@ def _pose(x: float, y: float, theta: float) -> Any:
 def _image(rgb: NDArray[np.uint8]) -> Any:
     """Make an image of pixels, shape (height, width, 3)."""
     height, width = rgb.shape[:2]
-    return _message_class("foxglove.RawImage")(
+    return message_class(_descriptors(), "foxglove.RawImage")(
         frame_id="allocation",
         width=width,
         height=height,
