@@ -77,17 +77,7 @@ def chunk_names(compression: str, nbytes: int) -> bytes:
 
 
 class Container:
-    """Writes an MCAP file in order: preamble, chunks, summary.
-
-    Parameters
-    ----------
-    stream
-        Binary stream at offset 0.
-    library
-        Name of the writer, in the header.
-    compression
-        ``zstd`` or ``none``.
-    """
+    """Writes an MCAP file in order, preamble, chunks, summary; compression is zstd or none."""
 
     def __init__(self, stream: IO[bytes], *, library: str, compression: str) -> None:
         self._stream = stream
@@ -165,18 +155,8 @@ class Container:
     ) -> None:
         """Write a Chunk of one channel and its MessageIndex.
 
-        Parameters
-        ----------
-        channel_id
-            The channel of all its messages.
-        data
-            Bytes-like: the Message records.
-        times
-            Log time of each message [ns], ascending, shape (n,).
-        offsets
-            Offset of each message in the chunk [bytes], shape (n,).
-        stored
-            Not to be compressed, whatever the others are.
+        `data` are the Message records; `times` [ns], ascending, and `offsets` [bytes] of each have
+        shape (n,). A `stored` chunk is not compressed, whatever the others are.
         """
         zstd = None if stored else self._zstd
         packed = data if zstd is None else zstd.compress(data)

@@ -15,16 +15,8 @@ NS_PER_S = 1_000_000_000
 class Event(NamedTuple):
     """Something worth a line: a violated deadline, an infeasible gain, a capped delay.
 
-    Attributes
-    ----------
-    slot
-        Slot in which it happened.
-    level
-        Name of a level of `foxglove.Log`: DEBUG, INFO, WARNING, ERROR or FATAL.
-    name
-        Part of the system that speaks, for example ``control``.
-    message
-        The line.
+    `slot` in which it happened; `level` DEBUG, INFO, WARNING, ERROR or FATAL, as in `foxglove.Log`;
+    `name` of the part of the system that speaks, for example ``control``; and the line.
     """
 
     slot: int

@@ -52,20 +52,11 @@ _WIRE_TYPES = {4: 5, 8: 1}
 class RecordLayout:
     """How the messages of one topic lie in a file.
 
-    Attributes
-    ----------
-    dtype
-        Structured type of one whole Message record: the header, then ``slot`` and the fields, each
-        behind a part ``<name>:tag`` with protobuf's tag and length.
-    template
-        One record, shape (1,), of which the constant parts matter.
-    constants
-        Names of the parts that are the same in every record.
-    values
-        Name -> (type, shape) of each field of one slot, but for ``slot``.
-    unknown
-        Names of those that today's table does not have, in this type and size. Their shape is (n,),
-        as the schema in a file says nothing else.
+    `dtype` is of one whole Message record: the header, then ``slot`` and the fields, each behind a
+    part ``<name>:tag`` with protobuf's tag and length. `constants` names the parts that are the
+    same in every record, as in `template`, shape (1,). `values` has type and shape of each field of
+    one slot, but for ``slot``. `unknown` names those that today's table does not have, in this type
+    and size: their shape is (n,), as the schema in a file says nothing else.
     """
 
     dtype: np.dtype[Any]
@@ -87,13 +78,7 @@ class TopicSchema:
 
 @lru_cache(maxsize=64)
 def find_message(descriptors: bytes, name: str) -> DescriptorProto:
-    """Find a message by its full name in a serialised FileDescriptorSet.
-
-    Raises
-    ------
-    ValueError, DecodeError
-        If it is not there, or the bytes are no such set.
-    """
+    """Find a message by its full name in a serialised FileDescriptorSet; ValueError without it."""
     for file in FileDescriptorSet.FromString(descriptors).file:
         for message in file.message_type:
             if f"{file.package}.{message.name}" == name:
@@ -121,21 +106,9 @@ def record_layout(
 ) -> RecordLayout:
     """Lay out the Message records of a topic as one of them lies there.
 
-    Parameters
-    ----------
-    topic
-        Name of the topic.
-    message
-        The file's own description of its fields.
-    dims
-        Sizes, for the shapes of the fields that today's table has.
-    record
-        A whole Message record.
-
-    Raises
-    ------
-    ValueError
-        If the record does not follow the description, or that has fields without a fixed size.
+    The file's own description of the message says which fields those are; `dims` give the shapes of
+    those that today's table has. ValueError if the record does not follow the description, or that
+    has fields without a fixed size.
     """
     described = {field.number: field for field in message.field}
     shapes = _known_shapes(schema.TOPICS[topic], dims) if topic in schema.TOPICS else {}

@@ -66,13 +66,7 @@ class TopicIndex:
 
 
 class LogFile:
-    """An open log; one of the two ways to load it has to succeed before anything else is asked.
-
-    Parameters
-    ----------
-    path
-        The file.
-    """
+    """An open log; one of the two ways to load it has to succeed before anything else."""
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self.path = Path(path)
@@ -100,13 +94,7 @@ class LogFile:
         self._take(summary, statistics[0].channel_message_counts)
 
     def load_without_summary(self) -> list[LogError]:
-        """Read what a writer left that never came to write the summary, record by record.
-
-        Returns
-        -------
-        list of LogError
-            What could not be read.
-        """
+        """Read what a killed writer left, record by record; return what could not be read."""
         self._check_start()
         self.summary_start = self.size
         found, counts, losses = self._walk()

@@ -63,12 +63,8 @@ class LogReader:
     ----------
     metadata : dict of str
         What `LogWriter` was told about the run, and the dimensions.
-    dims : LogDims
-        Numbers of users and PRBs.
-    profile : str
-        ``full``, ``compact``, ``decisions`` or ``robots``.
-    slot_ns : int
-        Slot length [ns].
+    dims, profile, slot_ns : LogDims, str, int
+        As `LogWriter` had them.
     topics : tuple of str
         Topics that `read` knows; events have a method of their own.
     model_fields : tuple of ModelField
@@ -78,8 +74,7 @@ class LogReader:
     Raises
     ------
     LogError
-        If the file is not a complete and undamaged log. A file that cannot be opened raises
-        OSError.
+        If the file is not a complete and undamaged log; OSError if it cannot be opened.
     """
 
     def __init__(
@@ -140,12 +135,8 @@ class LogReader:
     def fields(self, topic: str) -> tuple[str, ...]:
         """Names of a topic's fields, without ``slot``, in the order of the file.
 
-        A topic without messages does not say which fields it has: it has none.
-
-        Raises
-        ------
-        LogError
-            If the log has no such topic, or is damaged.
+        A topic without messages does not say which it has: none. LogError if there is no such
+        topic.
         """
         layout = self.layout(topic)
         return tuple(layout.values) if layout else ()
@@ -194,18 +185,12 @@ class LogReader:
         start_slot, stop_slot
             Read slots from `start_slot` to before `stop_slot`; all by default.
 
-        Returns
-        -------
-        dict of ndarray
-            Name -> values, shape (T, ...) with the shape of `TOPICS` behind T, and always
-            ``slot``, uint64, shape (T,). The arrays are the caller's own.
+        Returns ------- dict of ndarray Name -> values, shape (T, ...) with the shape of the table
+        of fields behind T, and always ``slot``, uint64, shape (T,). The arrays are the caller's
+        own.
 
-        Raises
-        ------
-        LogError
-            If the log has no such topic or field, or is damaged.
-        ValueError
-            If the slots run backwards.
+        Raises ------ LogError If the log has no such topic or field, or is damaged; ValueError if
+        the slots run backwards.
         """
         layout = self.layout(topic)
         names = self._wanted(topic, layout.values if layout else (), fields)
@@ -329,13 +314,7 @@ class LogReader:
         ]
 
     def events(self) -> list[Event]:
-        """Read the events, by slot; those of one slot in the order in which they were logged.
-
-        Raises
-        ------
-        LogError
-            If the log is damaged.
-        """
+        """Read the events, by slot; those of one slot in the order in which they were logged."""
         events: list[Event] = []
         for chunk in self._file.topics[EVENTS_TOPIC].chunks:
             data = self._file.chunk_data(chunk)
@@ -383,22 +362,7 @@ def log_digest(path: str | os.PathLike[str]) -> str:
     Topics come in the order of their names. Of each, the hash takes the name, a zero byte, and by
     time, then in the order in which they were logged, its messages: log time (uint64), length of
     the payload (uint32), both little-endian, and the payload. A topic without messages is left
-    out. So any MCAP library can compute it.
-
-    Parameters
-    ----------
-    path
-        The log.
-
-    Returns
-    -------
-    str
-        SHA-256, hexadecimal.
-
-    Raises
-    ------
-    LogError
-        If the log is damaged.
+    out. So any MCAP library can compute it. Returns SHA-256, hexadecimal; LogError on damage.
     """
     digest = hashlib.sha256()
     with LogReader(path) as log:

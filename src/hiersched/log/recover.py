@@ -24,17 +24,9 @@ _BLOCK_SLOTS = 4096
 class Recovery:
     """What `recover` did.
 
-    Attributes
-    ----------
-    path
-        The new log.
-    spans
-        First slot and slot behind the last, of each stretch that is in the new log.
-    num_events
-        Events in the new log.
-    losses
-        What could not be read or was left out, one line each; empty if nothing is missing but what
-        never reached the file.
+    `spans` are first slot and slot behind the last of each stretch that is in the new log, at
+    `path`, with `num_events` events. `losses` say what could not be read or was left out, one line
+    each: none if nothing is missing but what never reached the file.
     """
 
     path: Path
@@ -66,11 +58,6 @@ def recover(path: str | os.PathLike[str], out: str | os.PathLike[str] | None = N
         The log; it is not changed.
     out
         The new log, `recovered_path` unless given. It must not exist.
-
-    Returns
-    -------
-    Recovery
-        What is in the new log, and what is not.
 
     Raises
     ------

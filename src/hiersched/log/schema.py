@@ -42,16 +42,9 @@ _PROTO_TYPES = {"<f8": "double", "<f4": "float", "<u4": "fixed32", "<u8": "fixed
 class LogDims:
     """Dimensions that fix the size of every message.
 
-    Parameters
-    ----------
-    num_urllc, num_embb
-        Numbers of users of each slice; every URLLC user drives one robot.
-    num_prb
-        Number of physical resource blocks.
-    num_states, num_inputs, num_normals
-        Of every robot, by default a unicycle: states, inputs, standard normals a slot.
-    num_model_values
-        Numbers that the models add.
+    Numbers of users of each slice, where every URLLC user drives one robot, and of physical
+    resource blocks; of every robot, by default a unicycle, those of states, inputs and standard
+    normals a slot; and the number of numbers that models add.
     """
 
     num_urllc: int
@@ -139,13 +132,8 @@ def _declarations(topic: Topic) -> list[str]:
 def describe(path: str, messages: Mapping[str, Iterable[str]]) -> bytes:
     """Serialise the FileDescriptorSet of messages, dependencies included, as protoc does.
 
-    Parameters
-    ----------
-    path
-        Name of the `.proto` file that would have them.
-    messages
-        Full names, of one package -> fields, numbered in order: ``repeated double state``; types
-        that are messages by their full names.
+    `path` names the `.proto` file that would have them. `messages` maps full names, of one package,
+    to fields, numbered in order: ``repeated double state``; types that are messages by full names.
     """
     (package,) = {name.rpartition(".")[0] for name in messages}
     file = FileDescriptorProto(name=path, package=package, syntax="proto3")

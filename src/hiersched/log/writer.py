@@ -216,13 +216,9 @@ class LogWriter:
     def write_block(self, first_slot: int, fields: Mapping[str, NDArray[Any]]) -> None:
         """Write consecutive slots.
 
-        Parameters
-        ----------
-        first_slot
-            Number of the first slot; after all slots written before.
-        fields
-            Name -> values, shape (T, ...) with the shape of `TOPICS` behind T. Fields that the
-            profile does not contain may be there: they are left out.
+        Parameters ---------- first_slot Number of the first slot; after all slots written before.
+        fields Name -> values, shape (T, ...) with the shape of the table of fields behind T. Fields
+        that the profile does not contain may be there: they are left out.
 
         Raises
         ------
@@ -277,19 +273,7 @@ class LogWriter:
         return blocks, count
 
     def event(self, slot: int, level: str, name: str, message: str) -> None:
-        """Log something that happens now and then.
-
-        Parameters
-        ----------
-        slot
-            Slot in which it happened.
-        level
-            DEBUG, INFO, WARNING, ERROR or FATAL.
-        name
-            Part of the system that speaks.
-        message
-            One line.
-        """
+        """Log something that happens now and then: see `Event`."""
         self._check_open()
         _check_range("slot", slot, 0, MAX_SLOT - 1)
         event = Event(slot, level, name, message)

@@ -40,20 +40,10 @@ class Parting:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two runs in the same world.
+    """Two runs in the same world: names of the policies, slots that both logs have.
 
-    Attributes
-    ----------
-    baseline, other
-        Policies.
-    num_slots
-        Slots that both logs have.
-    num_batches
-        Stretches of time that the intervals are over.
-    measures
-        Differences, other - baseline.
-    partings
-        Topics that differ; empty if the logs say the same.
+    `num_batches` stretches of time are what the intervals are over; `measures` are differences,
+    other - baseline; `partings` are topics that differ, none if the logs say the same.
     """
 
     baseline: str
@@ -70,12 +60,7 @@ def compare_logs(baseline: str | os.PathLike[str], other: str | os.PathLike[str]
     The runs share the world, so differences are paired: both are averaged over the same stretches
     of time, at most `MOST_BATCHES`, and the interval is Student's t over these stretches, which are
     long enough to forget each other only if the run is. It says how sure the difference is in this
-    world; other worlds need other seeds.
-
-    Parameters
-    ----------
-    baseline, other
-        Logs.
+    world; other worlds need other seeds. What only one of the logs has is left out.
 
     Raises
     ------

@@ -32,13 +32,8 @@ class NamedPolicy(NamedTuple):
 def policy_of(run: LoggedRun, policy: str) -> NamedPolicy:
     """Find a policy for the world of a log.
 
-    Parameters
-    ----------
-    run
-        The log's run.
-    policy
-        Name of a policy that needs no training, the name of the log's own learned policy, whose
-        weights are attached to it, or a file of weights.
+    `policy` is the name of one that needs no training, that of the log's own learned policy, whose
+    weights are attached to it, or a file of weights.
 
     Raises
     ------
@@ -94,18 +89,9 @@ def _trained(run: LoggedRun, weights: bytes) -> NamedPolicy:
 
 
 def rerun(run: LoggedRun, policy: NamedPolicy, out: str | os.PathLike[str]) -> None:
-    """Run another policy in the world of a log, and log it as the stage would have.
+    """Run a policy in the world of a log, and log it to `out` as the stage would have.
 
     With the log's own policy the new log has the digest of the old one.
-
-    Parameters
-    ----------
-    run
-        The log's run.
-    policy
-        From `policy_of`.
-    out
-        The log to be.
     """
     label = RunLabel(
         stage=run.stage,

@@ -15,30 +15,16 @@ from hiersched.simulator import SlotRecord
 
 
 def expand(run: LoggedRun, out: str | os.PathLike[str]) -> Difference | None:
-    """Verify a log and write the same run in the profile ``full``.
+    """Verify a log and write the same run in the profile ``full`` to `out`.
 
     Metadata and attachments stay as they are; of a full log this is a copy with the same digest.
     Weights that the log does not have are NaN in the new one, which has the schema of this version
-    and so not the log's `unknown_fields`.
-
-    Parameters
-    ----------
-    run
-        The run, from `load_run`.
-    out
-        The log to be; it must not exist.
-
-    Returns
-    -------
-    Difference or None
-        As `verify`; there is no new log if the old one differs.
+    and so not the log's `unknown_fields`. Returns and raises as `verify`: there is no new log then.
 
     Raises
     ------
     FileExistsError
         If `out` exists.
-    LogError, ValueError
-        As `verify`; nothing is written then.
     """
     path = Path(out)
     part = path.with_name(path.name + ".part")

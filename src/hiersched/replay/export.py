@@ -28,8 +28,6 @@ def export_tables(
 
     Parameters
     ----------
-    path
-        The log.
     folder
         Where ``queue.csv`` and so on go; it is made.
     form
@@ -38,11 +36,6 @@ def export_tables(
         Topics to write; all, events included, by default.
     start_s, stop_s
         Slots that start in this span of simulated time [s].
-
-    Returns
-    -------
-    list of Path
-        The files.
 
     Raises
     ------
@@ -74,25 +67,10 @@ def export_tables(
 
 
 def export_for_viewers(path: str | os.PathLike[str], folder: str | os.PathLike[str]) -> list[Path]:
-    """Write what Foxglove and other viewers open beside a log.
+    """Write what Foxglove and other viewers open beside a log into a folder, which is made.
 
-    Parameters
-    ----------
-    path
-        The log.
-    folder
-        Where ``viewer.mcap`` (poses, images of the allocation) and ``foxglove.json`` (a layout
-        for both files) go; it is made.
-
-    Returns
-    -------
-    list of Path
-        The files.
-
-    Raises
-    ------
-    LogError
-        If the log is damaged, or lacks what is to be drawn.
+    ``viewer.mcap`` has poses and images of the allocation, ``foxglove.json`` a layout for both
+    files. LogError if the log is damaged, or lacks what is to be drawn.
     """
     from hiersched.replay.view import foxglove_layout
     from hiersched.replay.viewer_topics import write_viewer_topics

@@ -29,15 +29,10 @@ _EVENT_FIELDS = ("hol_delay_s", "delay_capped", "delay_steps", "control_saturate
 
 @dataclass(frozen=True)
 class Difference:
-    """The first place at which a log is not what the simulator computes.
+    """The first place at which a log is not what the simulator computes, and both values.
 
-    Attributes
-    ----------
-    slot, topic, field
-        Where; ``field`` has the index of the element, as ``state[3,0]``, and in ``/models`` the
-        name that its model gave it, as ``radio.fading/coherence[3]``.
-    logged, computed
-        Both values.
+    ``field`` has the index of the element, as ``state[3,0]``, and in ``/models`` the name that its
+    model gave it, as ``radio.fading/coherence[3]``.
     """
 
     slot: int
@@ -74,8 +69,7 @@ def verify(run: LoggedRun, on_slots: OnSlots | None = None) -> Difference | None
     Returns
     -------
     Difference or None
-        The first slot that differs and, within it, the first field in the order of the log's
-        topics; None if no bit differs.
+        The first slot that differs and, within it, the first field in the order of the table.
 
     Raises
     ------

@@ -42,19 +42,10 @@ def pose_topics(num_robots: int) -> list[tuple[str, str]]:
 
 
 def robot_poses(state: NDArray[np.float64], reference: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Poses in the plane from errors in the frame of the reference.
+    """Poses x, y, theta in the plane, shape (..., 3), from errors in the frame of the reference.
 
-    Parameters
-    ----------
-    state
-        e_x, e_y [m], e_theta [rad] first, shape (..., 5).
-    reference
-        x, y [m], theta [rad] first, shape (..., 5).
-
-    Returns
-    -------
-    ndarray
-        x, y, theta, shape (..., 3).
+    `state`, e_x, e_y [m], e_theta [rad] first, and `reference`, x, y [m], theta [rad] first, have
+    shape (..., 5).
     """
     cos, sin = np.cos(reference[..., 2]), np.sin(reference[..., 2])
     return np.stack(
@@ -88,19 +79,9 @@ def write_viewer_topics(path: str | os.PathLike[str], out: str | os.PathLike[str
     """Write an MCAP file to open beside the log: poses, references, images of the allocation.
 
     Poses are `foxglove.PoseInFrame`, at the end of each slot and with its log time; images are
-    `foxglove.RawImage`, of the last `IMAGE_SLOTS` slots, time to the right and PRBs downwards.
-
-    Parameters
-    ----------
-    path
-        The log.
-    out
-        The file to be; it appears whole or not at all.
-
-    Raises
-    ------
-    LogError
-        If the log is damaged, or does not have what is drawn.
+    `foxglove.RawImage`, of the last `IMAGE_SLOTS` slots, time to the right and PRBs downwards. The
+    file appears whole or not at all; LogError if the log is damaged, or does not have what is
+    drawn.
     """
     target = Path(out)
     part = target.with_name(target.name + ".part")

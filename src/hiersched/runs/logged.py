@@ -51,10 +51,6 @@ class LoggedRun:
 
     Attributes
     ----------
-    path
-        The log.
-    metadata, attachments
-        Those of the log.
     profile, unknown_fields
         Those of `LogReader`. The latter cannot be computed.
     scenario, schedule, gains
@@ -115,12 +111,7 @@ class LoggedRun:
 
 
 def load_run(path: str | os.PathLike[str]) -> LoggedRun:
-    """Read what a log says about its run.
-
-    Parameters
-    ----------
-    path
-        A log of one of the stages; it is checked whole.
+    """Read what a log of one of the stages says about its run; the log is checked whole.
 
     Raises
     ------
@@ -195,22 +186,10 @@ def _schedule(text: bytes) -> GainSchedule:
 
 @dataclass(frozen=True, kw_only=True)
 class RunSlots:
-    """Fields of every slot of a run.
+    """Fields of every slot of a run: name -> values, leading axis (T,).
 
-    Attributes
-    ----------
-    source
-        The log, or the name of a run that has none.
-    metadata
-        That of the log.
-    num_urllc
-        URLLC users, the first of the users.
-    slot_s
-        Length of a slot [s].
-    warmup_slots
-        Slots at the start that measures leave out.
-    fields
-        Name -> values, leading axis (T,).
+    `source` is the log, or the name of a run that has none. URLLC users are the first `num_urllc`;
+    measures leave out the first `warmup_slots` slots, of `slot_s` [s] each.
     """
 
     source: str | os.PathLike[str]
@@ -235,19 +214,12 @@ def read_slots(path: str | os.PathLike[str], names: Sequence[str]) -> RunSlots:
     What the log has is read. What it lacks is computed from its decisions, and whatever else the
     log has, of what this version knows, must come out of them to the last bit.
 
-    Parameters
-    ----------
-    path
-        A log.
-    names
-        Fields of the table.
-
     Raises
     ------
     LogError
         If the log is damaged, or is not what the simulator computes from its decisions.
     ValueError
-        On an unknown field.
+        On a field that is not in the table.
     """
     if unknown := [name for name in names if name not in TOPIC_OF]:
         raise ValueError(f"names: {', '.join(unknown)}: no field of a log")

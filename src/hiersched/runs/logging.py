@@ -48,16 +48,12 @@ def open_log(
 
     Parameters
     ----------
-    path
-        The file to be.
     scenario
         The scenario that is run (that of a sweep: with the swept value in place).
     schedule
         Gain schedule in force.
     label
         Goes into the metadata.
-    profile
-        ``full``, ``compact`` or ``decisions``.
     metadata, attachments
         Further ones, such as the weights of a policy.
     """
@@ -177,19 +173,9 @@ def logged_fields(
 def slice_fields(fields: Mapping[str, NDArray[Any]], num_urllc: int) -> dict[str, NDArray[Any]]:
     """Sum users up to slices: the topic ``/slices``.
 
-    Parameters
-    ----------
-    fields
-        ``backlog_packets``, ``due_packets`` and ``late_packets`` of users, shape (..., U), URLLC
-        users first.
-    num_urllc
-        Number of URLLC users.
-
-    Returns
-    -------
-    dict of ndarray
-        Name -> value of each slot, shape (...): mean backlogs [packets], 0 where a slice has no
-        user, and numbers of packets.
+    `fields` has ``backlog_packets``, ``due_packets`` and ``late_packets`` of users, shape (..., U),
+    URLLC users first. Returns name -> value of each slot, shape (...): mean backlogs [packets], 0
+    where a slice has no user, and numbers of packets.
     """
     slices: dict[str, NDArray[Any]] = {}
     for name, users in (("urllc", slice(0, num_urllc)), ("embb", slice(num_urllc, None))):
