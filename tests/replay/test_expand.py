@@ -12,8 +12,7 @@ import pytest
 from hiersched.cli import main
 from hiersched.log import LogReader, log_digest
 from hiersched.replay.compare import compare_logs
-from hiersched.replay.expand import expand
-from hiersched.replay.verify import verify
+from hiersched.replay.verify import expand, verify
 from hiersched.runs import paths
 from hiersched.runs.evaluate import evaluate
 from hiersched.runs.learned import learned_policies

@@ -14,8 +14,7 @@ import pytest
 from hiersched.cli import main
 from hiersched.core import registry
 from hiersched.log import LogError, LogReader, log_digest
-from hiersched.replay.expand import expand
-from hiersched.replay.verify import verify
+from hiersched.replay.verify import expand, verify
 from hiersched.runs import paths
 from hiersched.runs.evaluate import evaluate
 from hiersched.runs.gain_study import gain_study

@@ -46,8 +46,7 @@ def add_commands(commands: Any) -> None:
 
 def _replay(parsed: argparse.Namespace) -> int:
     from hiersched.cli.errors import InputError
-    from hiersched.replay.expand import expand
-    from hiersched.replay.verify import decides_again, verify
+    from hiersched.replay.verify import decides_again, expand, verify
     from hiersched.runs.logged import load_run
 
     run = load_run(parsed.log)

@@ -113,7 +113,7 @@ class LogReader:
             count = self._file.topics[name].num_messages
             sizes = [chunk.uncompressed_size for chunk in self._file.topics[name].chunks]
             record = sum(sizes) // count if count else 1
-            if record * count != sum(sizes) or any(size % record for size in sizes):
+            if record < 1 or record * count != sum(sizes) or any(size % record for size in sizes):
                 raise self._fail(
                     f"the chunks of {name} have {sum(sizes)} bytes, which do not make {count} "
                     "messages of one size"

@@ -8,18 +8,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.log import LogError
 from hiersched.policies.find import untrained_names
-from hiersched.runs.logged import LoggedRun
+from hiersched.runs.logged import BATCH_SLOTS, LoggedRun
 from hiersched.runs.logging import RunLabel, log_block, open_log
 from hiersched.runs.policies import RunnablePolicy, untrained_policies
 from hiersched.simulator import Simulator
 from hiersched.simulator.simulator import AnyPolicy
-
-_BATCH_SLOTS = 8192
 
 
 class NamedPolicy(NamedTuple):
@@ -119,19 +116,12 @@ def rerun(run: LoggedRun, policy: NamedPolicy, out: str | os.PathLike[str]) -> N
 
 def _episodes(run: LoggedRun, policy: AnyPolicy) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
     """Run the episodes; yield the first slot of each and its fields (T, ...)."""
-    if len(run.keys) == 1:
-        yield 0, _simulator(run, run.keys, run.num_slots).run(policy).environment(0)
-        return
-    at_once = max(1, _BATCH_SLOTS // run.episode_slots)
+    at_once = max(1, BATCH_SLOTS // run.episode_slots)
     for start in range(0, len(run.keys), at_once):
         keys = run.keys[start : start + at_once]
-        record = _simulator(run, keys, run.episode_slots).run(policy)
+        record = Simulator(run.scenario, run.gains, keys, run.episode_slots).run(policy)
         for env in range(len(keys)):
             first = (start + env) * run.episode_slots
             count = min(run.episode_slots, run.num_slots - first)
             fields = record.environment(env)
             yield first, {name: values[:count] for name, values in fields.items()}
-
-
-def _simulator(run: LoggedRun, keys: NDArray[np.uint64], num_slots: int) -> Simulator:
-    return Simulator(run.scenario, run.gains, keys, num_slots)

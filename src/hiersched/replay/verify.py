@@ -1,15 +1,17 @@
-"""Computes a log again, slot by slot, and compares every bit."""
+"""Computes a log again, slot by slot, compares every bit, and writes all that it left out."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.log import LogReader
+from hiersched.log import LogReader, LogWriter
 from hiersched.log.schema import MODELS_TOPIC
 from hiersched.models.model import model_fields
 from hiersched.policies.find import find_policy, untrained_names
@@ -18,7 +20,7 @@ from hiersched.policies.registry import Rule
 from hiersched.runs.events import slot_events
 from hiersched.runs.gain_study import delays_of_run
 from hiersched.runs.logged import TOPIC_OF, Batch, LoggedRun, needed_field
-from hiersched.runs.logging import logged_fields
+from hiersched.runs.logging import log_dims, logged_fields
 from hiersched.simulator import Simulator, SlotRecord
 from hiersched.simulator.simulator import AnyPolicy
 
@@ -212,3 +214,55 @@ def _event_difference(run: LoggedRun, log: LogReader, fields: Fields) -> Differe
         slot = longer[min(len(logged), len(computed))].slot
         return Difference(slot, "/events", "number", len(logged), len(computed))
     return None
+
+
+def expand(run: LoggedRun, out: str | os.PathLike[str]) -> Difference | None:
+    """Verify a log and write the same run in the profile ``full`` to `out`.
+
+    Metadata and attachments stay as they are; of a full log this is a copy with the same digest.
+    Weights that the log does not have are NaN in the new one, which has the schema of this version
+    and so not the log's `unknown_fields`. Returns and raises as `verify`: there is no new log then.
+
+    Raises
+    ------
+    FileExistsError
+        If `out` exists.
+    """
+    path = Path(out)
+    part = path.with_name(path.name + ".part")
+    for taken in (path, part):
+        if taken.exists():
+            raise FileExistsError(f"{taken}: exists; expanding a log never overwrites a file")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    scenario = run.scenario
+    own = ("profile", "schema_version")
+    writer = LogWriter(
+        path,
+        log_dims(scenario),
+        "full",
+        {key: text for key, text in run.metadata.items() if key not in own},
+        run.attachments,
+        slot_ns=round(scenario.radio.slot_s * 1e9),
+        compression=scenario.log.compression,
+        chunk_bytes=scenario.log.chunk_bytes,
+    )
+
+    def write(batch: Batch, record: SlotRecord) -> None:
+        count = batch.num_envs * batch.num_slots
+        fields = {
+            name: np.ascontiguousarray(values).reshape(count, *values.shape[2:])
+            for name, values in record._asdict().items()
+        }
+        writer.write_block(batch.first_slot, fields)
+
+    try:
+        difference = verify(run, write)
+        if difference is None:
+            with LogReader(run.path, verify="chunks") as log:
+                for event in log.events():  # those that were computed, too
+                    writer.event(*event)
+            writer.close()
+        return difference
+    finally:
+        writer.abort()  # nothing to do where it is closed
+        part.unlink(missing_ok=True)

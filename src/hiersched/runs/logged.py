@@ -23,7 +23,7 @@ from hiersched.simulator import Gains, Simulator
 from hiersched.simulator.loop_gains import loop_gains
 
 STAGES = ("train", "checkpoint", "evaluate", "sweep", "generalise", "gain_study")
-_BATCH_SLOTS = 8192  # what is computed at once: memory for a few dozen megabytes of records
+BATCH_SLOTS = 8192  # what is computed at once: memory for a few dozen megabytes of records
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,8 @@ class LoggedRun:
 
     Attributes
     ----------
-    profile, unknown_fields
-        Those of `LogReader`. The latter cannot be computed.
+    unknown_fields
+        Those of `LogReader`, which cannot be computed.
     scenario, schedule, gains
         What the run was of: from the attachments.
     added_keys
@@ -69,7 +69,6 @@ class LoggedRun:
     path: Path
     metadata: dict[str, str]
     attachments: dict[str, bytes]
-    profile: str
     unknown_fields: tuple[str, ...]
     scenario: Scenario
     schedule: GainSchedule
@@ -85,6 +84,11 @@ class LoggedRun:
         return self.metadata["stage"]
 
     @property
+    def profile(self) -> str:
+        """One of `core.fields.PROFILES`, or that of another version."""
+        return self.metadata["profile"]
+
+    @property
     def policy(self) -> str:
         """Name of the policy that decided."""
         return self.metadata["policy"]
@@ -97,11 +101,11 @@ class LoggedRun:
     def batches(self) -> Iterator[Batch]:
         """Cut the run into batches, in the order of the log."""
         if len(self.keys) == 1:
-            for first in range(0, self.num_slots, _BATCH_SLOTS):
-                count = min(_BATCH_SLOTS, self.num_slots - first)
+            for first in range(0, self.num_slots, BATCH_SLOTS):
+                count = min(BATCH_SLOTS, self.num_slots - first)
                 yield Batch(first, 0, 1, count, first == 0)
             return
-        at_once = max(1, _BATCH_SLOTS // self.episode_slots)
+        at_once = max(1, BATCH_SLOTS // self.episode_slots)
         whole, rest = divmod(self.num_slots, self.episode_slots)
         for env in range(0, whole, at_once):
             count = min(at_once, whole - env)
@@ -120,7 +124,7 @@ def load_run(path: str | os.PathLike[str]) -> LoggedRun:
     """
     with LogReader(path) as log:
         metadata, attachments = log.metadata, log.attachments
-        num_slots, profile, unknown_fields = log.num_slots, log.profile, log.unknown_fields
+        num_slots, unknown_fields = log.num_slots, log.unknown_fields
         slots = log.read(log.topics[0], [])["slot"] if log.topics else np.empty(0)
 
     def fail(what: str) -> LogError:
@@ -146,7 +150,6 @@ def load_run(path: str | os.PathLike[str]) -> LoggedRun:
         path=Path(path),
         metadata=metadata,
         attachments=attachments,
-        profile=profile,
         unknown_fields=unknown_fields,
         scenario=scenario,
         schedule=schedule,
