@@ -59,7 +59,9 @@ def topic_frame(
     Raises
     ------
     LogError
-        If the log has no such topic or field, or is damaged; ValueError if the span runs backwards.
+        If the log has no such topic or field, or is damaged.
+    ValueError
+        If the span runs backwards.
     """
     import pandas as pd
 

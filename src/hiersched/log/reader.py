@@ -185,12 +185,18 @@ class LogReader:
         start_slot, stop_slot
             Read slots from `start_slot` to before `stop_slot`; all by default.
 
-        Returns ------- dict of ndarray Name -> values, shape (T, ...) with the shape of the table
-        of fields behind T, and always ``slot``, uint64, shape (T,). The arrays are the caller's
-        own.
+        Returns
+        -------
+        dict of ndarray
+            Name -> values, shape (T, ...) with the shape of the table of fields behind T, and
+            always ``slot``, uint64, shape (T,). The arrays are the caller's own.
 
-        Raises ------ LogError If the log has no such topic or field, or is damaged; ValueError if
-        the slots run backwards.
+        Raises
+        ------
+        LogError
+            If the log has no such topic or field, or is damaged.
+        ValueError
+            If the slots run backwards.
         """
         layout = self.layout(topic)
         names = self._wanted(topic, layout.values if layout else (), fields)

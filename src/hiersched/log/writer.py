@@ -216,9 +216,13 @@ class LogWriter:
     def write_block(self, first_slot: int, fields: Mapping[str, NDArray[Any]]) -> None:
         """Write consecutive slots.
 
-        Parameters ---------- first_slot Number of the first slot; after all slots written before.
-        fields Name -> values, shape (T, ...) with the shape of the table of fields behind T. Fields
-        that the profile does not contain may be there: they are left out.
+        Parameters
+        ----------
+        first_slot
+            Number of the first slot; after all slots written before.
+        fields
+            Name -> values, shape (T, ...) with the shape of the table of fields behind T. Fields
+            that the profile does not contain may be there: they are left out.
 
         Raises
         ------
