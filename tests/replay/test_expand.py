@@ -101,7 +101,7 @@ def test_what_differs_is_not_written(study: Path, tmp_path: Path, rewrite: Any) 
         path = rewrite(study / TRAINING, tmp_path / f"{number}.mcap", tamper)
         found = expand(load_run(path), tmp_path / "new/full.mcap")
         assert found is not None
-        assert (found.slot, found.topic) == (21, "/slices") or found.topic == "/events"
+        assert (found.slot, found.topic) == (21, "/delay") or found.topic == "/events"
         assert list((tmp_path / "new").iterdir()) == []
 
 

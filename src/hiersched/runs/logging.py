@@ -171,7 +171,7 @@ def logged_fields(
 
 
 def slice_fields(fields: Mapping[str, NDArray[Any]], num_urllc: int) -> dict[str, NDArray[Any]]:
-    """Sum users up to slices: the topic ``/slices``.
+    """Sum users up to slices: what logs of decisions have in place of the users' numbers.
 
     `fields` has ``backlog_packets``, ``due_packets`` and ``late_packets`` of users, shape (..., U),
     URLLC users first. Returns name -> value of each slot, shape (...): mean backlogs [packets], 0

@@ -14,6 +14,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from hiersched.core.fields import SLICE_FIELDS
 from hiersched.core.files import write_parquet
 from hiersched.experiments import files
 from hiersched.experiments.points import (
@@ -337,7 +338,7 @@ def _episode_columns(log: LogReader, length: int) -> dict[str, NDArray[Any]]:
     """Return the columns of `training_episodes`, one value for every `length` slots."""
     reward = log.read("/delay", ["reward_urllc", "reward_embb"])
     if log.profile == "decisions":
-        slices = log.read("/slices")
+        slices = log.read("/delay", SLICE_FIELDS)
     else:
         users = log.read("/delay", ["due_packets", "late_packets"])
         users |= log.read("/queue", ["backlog_packets"])
