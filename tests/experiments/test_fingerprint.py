@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from hiersched.runs.fingerprint import code_fingerprint, reachable_modules
 
-from hiersched.runs import fingerprint
+from hiersched.experiments import fingerprint
+from hiersched.experiments.fingerprint import code_fingerprint, reachable_modules
 
 FILES = {
     "hiersched/__init__.py": "",
