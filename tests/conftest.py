@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -273,3 +274,20 @@ def write_plugin(monkeypatch):
     for path in written:
         if sys.modules.pop(path.stem, None):
             registry._forget(path.resolve())
+
+
+@pytest.fixture
+def other_table(monkeypatch: pytest.MonkeyPatch) -> Callable[..., AbstractContextManager[None]]:
+    """Within its context logs are written with another table of fields, as by another version."""
+    from hiersched.core.fields import FIELDS, Field
+    from hiersched.log import schema, writer
+
+    @contextmanager
+    def other(change: Callable[[list[Field]], list[Field]], version: int = 7) -> Iterator[None]:
+        with monkeypatch.context() as patch:
+            patch.setattr(schema, "TOPICS", schema.topics_of(change(list(FIELDS))))
+            patch.setattr(writer, "SCHEMA_VERSION", version)
+            patch.setattr(writer, "LIBRARY", f"hiersched-log/{version}")
+            yield
+
+    return other

@@ -15,7 +15,7 @@ from hiersched.runs import paths
 from hiersched.runs.logged import load_run, read_slots
 from hiersched.scenario import Scenario
 
-ALL = [field.name for topic in TOPICS.values() for field in topic.fields_in("full")[1:]]
+ALL = [field.name for topic in TOPICS.values() for field in topic.fields_in("full")]
 
 
 def evaluated(tiny: Scenario, results: Path, profile: str, **changes: object) -> Scenario:

@@ -16,8 +16,7 @@ from hiersched.runs.train import train_and_log
 from hiersched.cli import main
 from hiersched.log import LogReader, log_digest
 from hiersched.replay.compare import compare_logs
-from hiersched.replay.expand import expand
-from hiersched.replay.verify import verify
+from hiersched.replay.verify import expand, verify
 from hiersched.runs import paths
 from hiersched.runs.logged import load_run
 from hiersched.scenario import Scenario

@@ -38,9 +38,9 @@ Fields = dict[str, Any]
 def _zero_fields(slots: int, dims: LogDims = DIMS) -> Fields:
     """Every field of the log, zero."""
     return {
-        field.name: np.zeros((slots, *field.concrete_shape(dims)), field.dtype)
+        field.name: np.zeros((slots, *field.sized(dims.sizes)), field.dtype)
         for topic in TOPICS.values()
-        for field in topic.fields[1:]
+        for field in topic.fields
     }
 
 

@@ -46,8 +46,7 @@ def add_commands(commands: Any) -> None:
 
 def _replay(parsed: argparse.Namespace) -> int:
     from hiersched.cli.errors import InputError
-    from hiersched.replay.expand import expand
-    from hiersched.replay.verify import decides_again, verify
+    from hiersched.replay.verify import decides_again, expand, verify
     from hiersched.runs.logged import load_run
 
     run = load_run(parsed.log)
@@ -67,6 +66,10 @@ def _replay(parsed: argparse.Namespace) -> int:
         raise InputError(f"{parsed.log}: {error}") from error
     if difference is None:
         print(f"{parsed.log}: OK, {run.num_slots} slots computed again, every bit the same")
+        if run.unknown_fields:
+            left_out = f", nor in {parsed.out}" if parsed.out else ""
+            print(f"not checked{left_out}, since this hiersched does not know them: "
+                  f"{', '.join(run.unknown_fields)}")  # fmt: skip
         if not decides_again(run):
             print("decisions are those of the log: --policy asks the policy again")
         if parsed.out:

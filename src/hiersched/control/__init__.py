@@ -24,7 +24,6 @@ from hiersched.control.hysteresis import hold_delays, hold_step
 from hiersched.control.lifted import lift, simulate_random_delays, spectral_radius_by_delay
 from hiersched.control.lqr import dlqr, latency_compensated, tracking_weights
 from hiersched.control.predictor import input_memory_radii, predictor_gains
-from hiersched.core.extras import naming_extras
 
 if TYPE_CHECKING:
     from hiersched.control.design import GainDesign, GainDesigner, design_gain
@@ -93,6 +92,9 @@ _LAZY = {
 def __getattr__(name: str) -> Any:
     """Load the names that need cvxpy on first use."""
     if name in _LAZY:
-        with naming_extras():
+        try:
             return getattr(import_module(f"hiersched.control.{_LAZY[name]}"), name)
+        except ModuleNotFoundError as error:
+            error.add_note("pip install 'hiersched[control]'")
+            raise
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

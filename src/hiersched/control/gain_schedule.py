@@ -15,7 +15,6 @@ from hiersched.control.checks import as_delay_steps
 from hiersched.control.delayed_plant import DelayedPlant
 from hiersched.control.gain_table import GainSchedule
 from hiersched.control.methods import DEFAULT_DECAY_RATE, Method
-from hiersched.core.extras import naming_extras
 
 logger = logging.getLogger(__name__)
 
@@ -80,11 +79,8 @@ def build_schedule(
     ------
     ValueError
         If the method, the rate or the delay is not allowed.
-    MissingExtraError
-        If the extra `control` is not installed.
     """
-    with naming_extras():
-        from hiersched.control.design import GainDesigner
+    from hiersched.control.design import GainDesigner
 
     designer = GainDesigner(plant, method=method, decay_rate=decay_rate)
     steps = as_delay_steps("max_delay_steps", max_delay_steps)

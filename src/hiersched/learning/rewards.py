@@ -33,7 +33,8 @@ def user_rewards(
     objective = scenario.objective
     drift = 0.5 * (after**2 - one.backlog_packets[:, 0] ** 2)
     penalty = 1.0 / (one.rate_mbps[:, 0] ** 2 + objective.epsilon)
-    reward = -(drift + objective.penalty_weight * penalty) / scenario.learning.reward_scale
+    penalised = drift + objective.penalty_weight * penalty
+    reward: NDArray[np.float64] = -penalised / scenario.learning.reward_scale
     reward[:, : scenario.users.num_urllc] -= task_costs(one, scenario.learning)
     return reward
 
