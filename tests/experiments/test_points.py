@@ -368,9 +368,7 @@ def test_cells_are_points_by_their_sizes(tiny: Scenario) -> None:
 
 def test_groups(tiny: Scenario) -> None:
     two = replace(tiny, learners={"flat": replace(tiny.learning, network="mlp")})
-    evaluation = replace(
-        experiments(two)["evaluate"], policies=("flat", "pf", "ddpg", "edf")
-    )
+    evaluation = replace(experiments(two)["evaluate"], policies=("flat", "pf", "ddpg", "edf"))
     assert groups(two, evaluation) == {
         "classical": ("pf", "edf"),
         "flat": ("flat",),

@@ -8,8 +8,9 @@ from hiersched.experiments.fingerprint import KERNEL_MODULE, PACKAGE_FOLDER, cod
 from hiersched.experiments.gains import designs, experiment_designs
 from hiersched.experiments.points import experiments, groups, load_study, trained_learners
 from hiersched.scenario import ScenarioError, parameter_notes
+from hiersched.study.built_in import shown
 from hiersched.study.measure import measured_files, measured_groups, table_file
-from hiersched.study.registry import CLAIMS, FIGURES, TABLES, shown
+from hiersched.study.registry import CLAIMS, FIGURES, TABLES
 from hiersched.study.study import Study
 
 SCRIPTS = PACKAGE_FOLDER / "workflow" / "scripts"
