@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
@@ -253,6 +254,26 @@ def torch_weights():
         return action_weights(actions, policy.weight_exponent)
 
     return weights
+
+
+@pytest.fixture
+def write_plugin(monkeypatch):
+    """Write the file of a plug-in; what it registers is gone after the test."""
+    from hiersched.core import registry
+
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    written = []
+
+    def write(path, text):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+        written.append(path)
+        return path
+
+    yield write
+    for path in written:
+        if sys.modules.pop(path.stem, None):
+            registry._forget(path.resolve())
 
 
 @pytest.fixture

@@ -155,16 +155,18 @@ def run_values(scenario: Scenario, experiment: Experiment, group: str) -> dict[s
     swept key changes nothing.
     """
     policies = groups(scenario, experiment)[group]
-    keys = (*_SLOT_LOOP, *_LOG_FORM)
+    added = [f"policies.{name}" for name in policies if name in scenario.policies]
+    keys = (*_SLOT_LOOP, *_LOG_FORM, *added)
     base = picked(scenario, keys)
     points = {p.value: picked(p.scenario, keys) for p, _ in experiment.runs(policies)}
+    swept = {key for point in experiment.points for key in point.values}
     different = {
         key
-        for values in points.values()
-        for key in values.keys() | base.keys()
+        for values in (base, *points.values())
+        for key in values
         if values.get(key) != base.get(key)
-    } | {key for point in experiment.points for key in point.values}
-    added = {name: scenario.policies[name] for name in policies if name in scenario.policies}
+        or any(f"{key}.".startswith(f"{k}.") or k.startswith(f"{key}.") for k in swept)
+    } | {key for values in points.values() for key in base.keys() - values.keys()}
     return {
         **{key: value for key, value in base.items() if key not in different},
         "points": {
@@ -176,7 +178,6 @@ def run_values(scenario: Scenario, experiment: Experiment, group: str) -> dict[s
         "worlds": [experiment.warmup_s, experiment.duration_s],
         "logs": [experiment.profile, experiment.full_logs, experiment.full_log_s],
         "policies": sorted(policies),
-        "added": picked(scenario, tuple(f"policies.{name}" for name in added)),
     }
 
 

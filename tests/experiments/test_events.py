@@ -3,12 +3,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from hiersched.runs.gains import load_gains
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from hiersched.control import Certificate, build_schedule
+from hiersched.experiments.gains import load_gains
 from hiersched.runs.events import slot_events, stretches
 from hiersched.scenario import Scenario
 from hiersched.simulator.loop_gains import plant_of
