@@ -15,7 +15,7 @@ from hiersched.control import (
     synthesise_krasovskii,
     synthesise_razumikhin,
 )
-from hiersched.control.krasovskii_fixed import FixedFunctional
+from hiersched.control.krasovskii_synthesis import FixedFunctional
 from hiersched.control.razumikhin_synthesis import LargestMargin
 
 

@@ -10,18 +10,20 @@ interval, and the inequality is the one of a continuous system with delay 1 as T
 
 from __future__ import annotations
 
+from typing import SupportsIndex
+
 import cvxpy as cp
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import solve_discrete_lyapunov
 
 from hiersched.control.certificate import KrasovskiiWitness
-from hiersched.control.checks import FloatArray, as_delay_steps, as_square
-from hiersched.control.lmi import Expression, balance, solve, symmetric_blocks, symmetrised
+from hiersched.control.checks import FloatArray, as_loop, symmetrised
+from hiersched.control.lmi import Expression, balance, solve, symmetric_blocks, transformed
 
 
 def analyse_krasovskii(
-    A_c: npt.ArrayLike, A_d: npt.ArrayLike, delay_steps: int
+    A_c: npt.ArrayLike, A_d: npt.ArrayLike, delay_steps: SupportsIndex
 ) -> KrasovskiiWitness | None:
     """C3 analysis: search the Krasovskii functional of largest margin for a given loop.
 
@@ -35,46 +37,27 @@ def analyse_krasovskii(
     descriptor form with P2 and P3 free is equivalent to it and larger.) Solved by Clarabel in
     coordinates where A_c + A_d is well scaled.
 
-    Parameters
-    ----------
-    A_c, A_d : array_like, shape (n, n)
-        Undelayed and delayed matrix of the closed loop.
-    delay_steps : int
-        Longest delay T in samples.
-
-    Returns
-    -------
-    KrasovskiiWitness or None
-        What was found, in the coordinates of x; only `certify` says whether it holds. None if
-        A_c + A_d is unstable or the solver found no positive margin: C3 then says nothing. The
-        condition is sufficient, so the loop may still be stable for all these delays.
-
-    Raises
-    ------
-    ValueError
-        If a matrix or the delay is malformed.
+    Only `certify` says whether what was found holds. None if A_c + A_d is unstable or the solver
+    found no positive margin: C3 then says nothing. The condition is sufficient, so the loop may
+    still be stable for all these delays.
     """
-    A_c = as_square("A_c", A_c)
-    A_d = as_square("A_d", A_d, A_c.shape[0])
-    T = as_delay_steps("delay_steps", delay_steps)
+    A_c, A_d, T = as_loop(A_c, A_d, delay_steps)
     n = A_c.shape[0]
     scaling = balance(A_c + A_d)
     if scaling is None:
         return None
-    zero = np.zeros((n, n))
     if T == 0:
-        loop = A_c + A_d
+        loop, zero = A_c + A_d, np.zeros((n, n))
         P = symmetrised(np.asarray(solve_discrete_lyapunov(loop.T, np.eye(n))))
         return KrasovskiiWitness(P=P, S=zero, R=zero, X=zero)
-    inverse = np.linalg.inv(scaling)
-    A_z, D_z = scaling @ A_c @ inverse, scaling @ A_d @ inverse
     P, S, R = (cp.Variable((n, n), symmetric=True) for _ in range(3))
     X, margin = cp.Variable((n, n)), cp.Variable()
     coupling = symmetric_blocks([[R, X], [R]])
+    decrease = _decrease(transformed(scaling, A_c), transformed(scaling, A_d), T, P, S, coupling)
     problem = cp.Problem(
         cp.Maximize(margin),
         [
-            _decrease(A_z, D_z, T, P, S, coupling) << -margin * np.eye(3 * n),
+            decrease << -margin * np.eye(3 * n),
             coupling >> margin * np.eye(2 * n),
             S >> margin * np.eye(n),
             P >> margin * np.eye(n),

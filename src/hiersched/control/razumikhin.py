@@ -13,49 +13,40 @@ weights a P exists, and a search over the weights finds the best ones.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
 from hiersched.control.certificate import DelayRazumikhinWitness, RazumikhinWitness
-from hiersched.control.checks import FloatArray, as_delay_steps, as_square, spectral_radius
-from hiersched.control.lmi import balance, symmetrised
+from hiersched.control.checks import (
+    FloatArray,
+    as_decay_rate,
+    as_loop,
+    as_samples,
+    spectral_radius,
+    symmetrised,
+)
+from hiersched.control.lmi import balance, transformed
 
 REACH = 12.0
 """The searches go over shares from 2^-REACH to 1 - 2^-REACH: where the best share is 0, they may
 miss the last ten-thousandth of what a condition can certify."""
 
 
-def razumikhin_gamma(decay_rate: float, delay_steps: int) -> float:
-    """Return g = (1 - a)^-T, the bound V(k-d) <= g V(k) that certifies the decay rate a.
+def razumikhin_gamma(decay_rate: float, delay_steps: SupportsIndex) -> float:
+    """Return g = (1 - a)^-T, the bound V(k-d) <= g V(k) that certifies the decay a in (0, 1).
 
-    Parameters
-    ----------
-    decay_rate : float
-        Relative decay a of V per sample, in (0, 1).
-    delay_steps : int
-        Longest delay T in samples.
-
-    Returns
-    -------
-    float
-        At least the paper's 1 + a T (Bernoulli's inequality).
-
-    Raises
-    ------
-    ValueError
-        If a number is outside its range.
+    It is at least the paper's 1 + a T (Bernoulli's inequality).
     """
-    if not 0.0 < decay_rate < 1.0:
-        raise ValueError(f"decay_rate is {decay_rate!r}; it must lie in (0, 1)")
-    return float((1.0 - decay_rate) ** -as_delay_steps("delay_steps", delay_steps))
+    return (1.0 - as_decay_rate(decay_rate)) ** -as_samples("delay_steps", delay_steps)
 
 
 class WeightedMap:
     """The map Q -> sum_i F_i Q F_i^T / w_i of symmetric matrices, which decides on a P.
 
-    With F = [F_1, ..., F_k] and Q = P^-1, the Schur complement turns the condition
+    With F = [F_1, ..., F_k] (`blocks`, (n, n) each) and Q = P^-1, the Schur complement turns
 
         diag(w_1 P, ..., w_k P) - F^T P F > 0        (k n x k n)
 
@@ -63,11 +54,6 @@ class WeightedMap:
     is such a P if and only if its spectral radius is below 1. This radius is a limit of sums of
     products of the 1/w_i with positive factors: its logarithm is convex in the weights, so that
     searches over them meet one valley only.
-
-    Parameters
-    ----------
-    blocks : sequence of ndarray, shape (n, n) each
-        F_1, ..., F_k.
     """
 
     def __init__(self, blocks: Sequence[FloatArray]) -> None:
@@ -103,38 +89,31 @@ class WeightedMap:
         return total
 
 
-def least(cost: Callable[[float], float]) -> tuple[float, float]:
-    """Minimise a function of one valley over the shares (0, 1).
+def _least(cost: Callable[[float], float]) -> tuple[float, float]:
+    """Return the least cost over the shares (0, 1), and where: log2(share / (1 - share)) to 1e-5.
 
-    Parameters
-    ----------
-    cost : callable
-        Function of the share.
-
-    Returns
-    -------
-    cost, share : float
-        The least cost found and where; shares are compared as log2(share / (1 - share)), to 1e-5.
+    The cost must have one valley.
     """
+
+    def share(position: float) -> float:
+        return float(1.0 / (1.0 + 2.0**-position))
+
     found = minimize_scalar(
-        lambda position: cost(_share(position)),
+        lambda position: cost(share(position)),
         bounds=(-REACH, REACH),
         method="bounded",
         options={"xatol": 1e-5},
     )
-    return float(found.fun), _share(float(found.x))
-
-
-def _share(position: float) -> float:
-    return float(1.0 / (1.0 + 2.0**-position))
+    return float(found.fun), share(float(found.x))
 
 
 def analyse_razumikhin(
-    A_c: npt.ArrayLike, A_d: npt.ArrayLike, delay_steps: int, decay_rate: float
+    A_c: npt.ArrayLike, A_d: npt.ArrayLike, delay_steps: SupportsIndex, decay_rate: float
 ) -> RazumikhinWitness | None:
     """C1 analysis: search V = x^T P x with V(k+1) <= (1 - a - tau g) V(k) + tau V(k-d).
 
-    With g = (1 - a)^-T, find P > 0 and tau > 0 such that (2n x 2n)
+    With the relative decay a in (0, 1) of V a sample and g = (1 - a)^-T, find P > 0 and tau > 0
+    such that (2n x 2n)
 
         diag((1 - a - tau g) P, tau P) - [A_c, A_d]^T P [A_c, A_d] > 0.
 
@@ -142,40 +121,21 @@ def analyse_razumikhin(
     Exact for each tau (`WeightedMap`); tau is searched in (0, (1 - a - rho(A_c)^2) / g), outside
     of which there is no P.
 
-    Parameters
-    ----------
-    A_c, A_d : array_like, shape (n, n)
-        Undelayed and delayed matrix of the closed loop.
-    delay_steps : int
-        Longest delay T in samples over which the decay rate has to hold.
-    decay_rate : float
-        Relative decay a of V per sample, in (0, 1).
-
-    Returns
-    -------
-    RazumikhinWitness or None
-        What was found; only `certify` says whether it holds. None if no tau admits a P: always
-        so where A_c is not stable by itself, because the delay may be infinite.
-
-    Raises
-    ------
-    ValueError
-        If a matrix or a number is malformed.
+    Only `certify` says whether what was found holds. None if no tau admits a P: always so where
+    A_c is not stable by itself, because the delay may be infinite.
     """
-    A_c = as_square("A_c", A_c)
-    A_d = as_square("A_d", A_d, A_c.shape[0])
-    gamma = razumikhin_gamma(decay_rate, delay_steps)
+    A_c, A_d, T = as_loop(A_c, A_d, delay_steps)
+    gamma = razumikhin_gamma(decay_rate, T)
     largest = (1.0 - decay_rate - spectral_radius(A_c) ** 2) / gamma
     scaling = balance(A_c)
     if scaling is None or largest <= 0.0:
         return None
-    inverse = np.linalg.inv(scaling)
-    condition = WeightedMap([scaling @ A_c @ inverse, scaling @ A_d @ inverse])
+    condition = WeightedMap([transformed(scaling, A_c), transformed(scaling, A_d)])
 
     def weights(share: float) -> tuple[float, float]:
         return 1.0 - decay_rate - share * largest * gamma, share * largest
 
-    radius, share = least(lambda share: condition.radius(*weights(share)))
+    radius, share = _least(lambda share: condition.radius(*weights(share)))
     P = condition.solve(*weights(share)) if radius < 1.0 else None
     if P is None:
         return None
@@ -184,7 +144,7 @@ def analyse_razumikhin(
 
 
 def analyse_delay_razumikhin(
-    A_c: npt.ArrayLike, A_d: npt.ArrayLike, delay_steps: int
+    A_c: npt.ArrayLike, A_d: npt.ArrayLike, delay_steps: SupportsIndex
 ) -> DelayRazumikhinWitness | None:
     """C2 analysis: search V = x^T P x with V(k+1) < max V over the last 2T + 1 samples.
 
@@ -196,44 +156,25 @@ def analyse_delay_razumikhin(
     Exact for each (p, t1, t2) (`WeightedMap`); searched are p in (rho(A_c + A_d)^2, 1), below
     which there is no P, and the share of t1 in the rest.
 
-    Parameters
-    ----------
-    A_c, A_d : array_like, shape (n, n)
-        Undelayed and delayed matrix of the closed loop.
-    delay_steps : int
-        Longest delay T in samples.
-
-    Returns
-    -------
-    DelayRazumikhinWitness or None
-        What was found; only `certify` says whether it holds. None if A_c + A_d is unstable or no
-        weights admit a P: C2 then says nothing (it is more conservative than C3).
-
-    Raises
-    ------
-    ValueError
-        If a matrix or the delay is malformed.
+    Only `certify` says whether what was found holds. None if A_c + A_d is unstable or no weights
+    admit a P: C2 then says nothing (it is more conservative than C3).
     """
-    A_c = as_square("A_c", A_c)
-    n = A_c.shape[0]
-    A_d = as_square("A_d", A_d, n)
-    T = as_delay_steps("delay_steps", delay_steps)
+    A_c, A_d, T = as_loop(A_c, A_d, delay_steps)
     slowest = spectral_radius(A_c + A_d) ** 2
     scaling = balance(A_c + A_d)
     if scaling is None or slowest >= 1.0:
         return None
-    inverse = np.linalg.inv(scaling)
-    A_z, D_z = scaling @ A_c @ inverse, scaling @ A_d @ inverse
-    condition = WeightedMap([A_z + D_z, -T * D_z @ (A_z - np.eye(n)), -T * D_z @ D_z])
+    A_z, D_z = transformed(scaling, A_c), transformed(scaling, A_d)
+    condition = WeightedMap([A_z + D_z, -T * D_z @ (A_z - np.eye(len(A_z))), -T * D_z @ D_z])
 
     def weights(share: float, first: float) -> tuple[float, float, float]:
         rest = (1.0 - slowest) * (1.0 - share)
         return slowest + (1.0 - slowest) * share, rest * first, rest * (1.0 - first)
 
     def best_first(share: float) -> tuple[float, float]:
-        return least(lambda first: condition.radius(*weights(share, first)))
+        return _least(lambda first: condition.radius(*weights(share, first)))
 
-    radius, share = least(lambda share: best_first(share)[0])
+    radius, share = _least(lambda share: best_first(share)[0])
     if radius >= 1.0:
         return None
     # Radius and sum of the weights trade one for one: half of the gap goes to each inequality.
@@ -242,5 +183,4 @@ def analyse_delay_razumikhin(
     P = condition.solve(p, t1, t2)
     if P is None:
         return None
-    P = symmetrised(scaling.T @ P @ scaling)
-    return DelayRazumikhinWitness(P=P, p=p, t1=t1, t2=t2)
+    return DelayRazumikhinWitness(P=symmetrised(scaling.T @ P @ scaling), p=p, t1=t1, t2=t2)
