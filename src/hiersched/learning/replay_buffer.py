@@ -12,30 +12,24 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from hiersched.learning.algorithm import Outcome
+
 
 class Transitions(NamedTuple):
-    """A batch of transitions, leading axes (seeds, B)."""
+    """A batch of transitions, leading axes (seeds, B): features and the `Outcome`, in float32."""
 
     features: NDArray[np.float32]  # (U, F) at the start of the slot
-    prb_count: NDArray[np.float32]  # (U,) executed
-    base_reward: NDArray[np.float32]  # (U,) of each user, without the constraint
-    constraint: NDArray[np.float32]  # (R,) y of each URLLC user
-    next_features: NDArray[np.float32]  # (U, F) at the start of the next slot
+    prb_count: NDArray[np.float32]
+    base_reward: NDArray[np.float32]
+    constraint: NDArray[np.float32]
+    next_features: NDArray[np.float32]
 
 
 class ReplayBuffer:
     """The last rounds of training; a round is one episode in every environment.
 
-    Parameters
-    ----------
-    num_seeds, num_envs, num_slots
-        Seeds, environments of each seed, slots of an episode.
-    num_rounds
-        Rounds to keep: the capacity is ``num_rounds * num_envs * num_slots`` transitions a seed.
-    num_urllc
-        R.
-    feature_shape
-        (U, F).
+    It keeps `num_rounds` of them: ``num_rounds * num_envs * num_slots`` transitions a seed.
+    `feature_shape` is (U, F), `num_urllc` R.
     """
 
     _ARRAYS = ("_features", "_prb_count", "_base_reward", "_constraint")
@@ -57,11 +51,8 @@ class ReplayBuffer:
         self._prb_count = np.zeros((*place, feature_shape[0]), np.float32)
         self._base_reward = np.zeros((*place, feature_shape[0]), np.float32)
         self._constraint = np.zeros((*place, num_urllc), np.float32)
-        self._num_rounds = num_rounds
-        self._num_slots = num_slots
-        self._num_envs = num_envs
-        self._started = 0
-        self._slot = 0
+        self._num_rounds, self._num_slots, self._num_envs = num_rounds, num_slots, num_envs
+        self._started = self._slot = 0
 
     def __len__(self) -> int:
         """Transitions of each seed that can be sampled."""
@@ -74,19 +65,13 @@ class ReplayBuffer:
         self._slot = 0
         self._features[:, self._row, 0] = features
 
-    def add(
-        self,
-        prb_count: NDArray[np.uint32],
-        base_reward: NDArray[np.float64],
-        constraint: NDArray[np.float64],
-        next_features: NDArray[np.float32],
-    ) -> None:
-        """Add a slot of all environments; leading axes (seeds, envs), see `Transitions`."""
+    def add(self, outcome: Outcome) -> None:
+        """Add a slot of all environments."""
         row, slot = self._row, self._slot
-        self._prb_count[:, row, slot] = prb_count
-        self._base_reward[:, row, slot] = base_reward
-        self._constraint[:, row, slot] = constraint
-        self._features[:, row, slot + 1] = next_features
+        self._prb_count[:, row, slot] = outcome.prb_count
+        self._base_reward[:, row, slot] = outcome.base_reward
+        self._constraint[:, row, slot] = outcome.constraint
+        self._features[:, row, slot + 1] = outcome.next_features
         self._slot += 1
 
     def sample(self, batch_size: int, generators: list[np.random.Generator]) -> Transitions:
