@@ -32,10 +32,17 @@ from hiersched.control.predictor import input_memory_radii, predictor_gains
 
 if TYPE_CHECKING:
     from hiersched.control.design import GainDesign, GainDesigner, design_gain
-    from hiersched.control.krasovskii import analyse_krasovskii
-    from hiersched.control.krasovskii_synthesis import KrasovskiiSynthesis, synthesise_krasovskii
-    from hiersched.control.razumikhin import analyse_delay_razumikhin, analyse_razumikhin
-    from hiersched.control.razumikhin_synthesis import RazumikhinSynthesis, synthesise_razumikhin
+    from hiersched.control.krasovskii import (
+        KrasovskiiSynthesis,
+        analyse_krasovskii,
+        synthesise_krasovskii,
+    )
+    from hiersched.control.razumikhin import (
+        RazumikhinSynthesis,
+        analyse_delay_razumikhin,
+        analyse_razumikhin,
+        synthesise_razumikhin,
+    )
     from hiersched.control.switching import Switch, SwitchingReport, switching_report
 
 __all__ = [
@@ -77,7 +84,7 @@ __all__ = [
     "switching_report",
 ]
 
-_SOLVING = ("krasovskii_synthesis", "razumikhin", "razumikhin_synthesis", "design", "switching")
+_SOLVING = ("krasovskii", "razumikhin", "design", "switching")
 
 
 def __getattr__(name: str) -> Any:

@@ -79,11 +79,6 @@ class Certificate:
         """Return the name of the condition; "none" where no witness was found."""
         return "none" if self.witness is None else self.witness.criterion
 
-    @property
-    def delay_steps(self) -> int:
-        """Return the longest delay T that is covered, in samples."""
-        return len(self.spectral_radii) - 1
-
 
 def certify(
     A_c: npt.ArrayLike,

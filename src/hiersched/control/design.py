@@ -6,7 +6,7 @@ import logging
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple, SupportsIndex, get_args
+from typing import SupportsIndex, get_args
 
 import numpy as np
 
@@ -15,12 +15,10 @@ from hiersched.control.checks import FloatArray, as_decay_rate, as_samples
 from hiersched.control.delayed_plant import DelayedPlant, require_network
 from hiersched.control.gain_schedule import Method, Status
 from hiersched.control.h2 import h2_gain
-from hiersched.control.krasovskii import analyse_krasovskii
-from hiersched.control.krasovskii_synthesis import KrasovskiiSynthesis
+from hiersched.control.krasovskii import KrasovskiiSynthesis, analyse_krasovskii
 from hiersched.control.lqr import latency_compensated
 from hiersched.control.predictor import input_memory_radii, predictor_gains
-from hiersched.control.razumikhin import analyse_razumikhin
-from hiersched.control.razumikhin_synthesis import RazumikhinSynthesis
+from hiersched.control.razumikhin import RazumikhinSynthesis, analyse_razumikhin
 
 logger = logging.getLogger(__name__)
 
@@ -39,9 +37,7 @@ class GainDesign:
     gain: FloatArray
     # (T, m, m), on the last T inputs, the newest first; zero for every method but the predictor.
     input_gains: FloatArray
-    method: Method
     status: Status
-    delay_steps: int  # longest delay T in samples
     certificate: Certificate  # independent check of the gain in force
     deviation: float  # ||K^ - K||_F in the units of the gain
     solve_time_s: float  # wall-clock time spent
@@ -57,13 +53,7 @@ class GainDesign:
         return self.certificate.margins
 
 
-class _Choice(NamedTuple):
-    """A gain, how it came about, its check, and the gains on past inputs, if there are any."""
-
-    gain: FloatArray
-    status: Status
-    certificate: Certificate
-    input_gains: FloatArray | None = None
+_Found = tuple[FloatArray, Status, Certificate]
 
 
 class GainDesigner:
@@ -100,49 +90,49 @@ class GainDesigner:
         "infeasible", which is also logged, keeps the nominal gain.
         """
         T = as_samples("delay_steps", delay_steps)
-        start = time.perf_counter()
+        start, m = time.perf_counter(), self._plant.B.shape[1]
+        input_gains = np.zeros((T, m, m))
         if self._method in CERTIFYING:
-            choice = self._certified_gain(T)
+            gain, status, certificate = self._certified_gain(T)
         elif self._method == "predictor" and T > 0:
-            choice = self._predictor(T)
+            A, B = self._plant.A, self._plant.B
+            gain, input_gains = predictor_gains(A, B, self._plant.nominal_gain, T)
+            radii = input_memory_radii(A, B, gain, input_gains, T)
+            status, certificate = "uncertified", Certificate(spectral_radii=radii)
         else:
-            choice = self._formula_gain(T)
-        if choice.status == "infeasible":
+            gain, status, certificate = self._formula_gain(T)
+        if status == "infeasible":
             logger.warning(
                 "no certified gain: method=%s plant=%s T=%d; the nominal gain stays in force",
                 self._method,
                 self._plant.kind,
                 T,
             )
-        m = self._plant.B.shape[1]
-        memory = np.zeros((T, m, m)) if choice.input_gains is None else choice.input_gains
         return GainDesign(
-            gain=choice.gain,
-            input_gains=memory,
-            method=self._method,
-            status=choice.status,
-            delay_steps=T,
-            certificate=choice.certificate,
-            deviation=float(np.linalg.norm(choice.gain - self._plant.nominal_gain)),
+            gain=gain,
+            input_gains=input_gains,
+            status=status,
+            certificate=certificate,
+            deviation=float(np.linalg.norm(gain - self._plant.nominal_gain)),
             solve_time_s=time.perf_counter() - start,
         )
 
-    def _certified_gain(self, T: int) -> _Choice:
+    def _certified_gain(self, T: int) -> _Found:
         nominal = self._plant.nominal_gain
         certificate = self._certify(nominal, T, self._nominal_witness(T))
         if certificate.certified:
-            return _Choice(nominal, "nominal", certificate)
+            return nominal, "nominal", certificate
         if self._nominal_fails_at is None or self._nominal_fails_at > T:
             self._nominal_fails_at = T
         found = self._minimal_deviation(T)
         if found is not None:
             adjusted = self._certify(found[0], T, found[1])
             if adjusted.certified:
-                return _Choice(found[0], "adjusted", adjusted)
+                return found[0], "adjusted", adjusted
             logger.info("the gain found for T=%d failed its certificate: %s", T, adjusted.margins)
-        return _Choice(nominal, "infeasible", certificate)
+        return nominal, "infeasible", certificate
 
-    def _formula_gain(self, T: int) -> _Choice:
+    def _formula_gain(self, T: int) -> _Found:
         plant, nominal = self._plant, self._plant.nominal_gain
         gain: FloatArray | None = nominal
         if self._method == "latency_compensated" and T > 0:
@@ -150,10 +140,10 @@ class GainDesigner:
         elif self._method == "h2":
             gain = self._h2_gain(T)
         if gain is None:
-            return _Choice(nominal, "infeasible", self._certify(nominal, T, None))
+            return nominal, "infeasible", self._certify(nominal, T, None)
         certificate = self._certify(gain, T, analyse_krasovskii(*plant.closed_loop(gain), T))
         status: Status = "nominal" if np.array_equal(gain, nominal) else "adjusted"
-        return _Choice(gain, status if certificate.certified else "uncertified", certificate)
+        return gain, status if certificate.certified else "uncertified", certificate
 
     def _h2_gain(self, T: int) -> FloatArray | None:
         nominal = self._plant.nominal_gain
@@ -161,12 +151,6 @@ class GainDesigner:
             return h2_gain(self._plant, T, nominal)
         found = self._minimal_deviation(T)
         return None if found is None else h2_gain(self._plant, T, found[0])
-
-    def _predictor(self, T: int) -> _Choice:
-        A, B = self._plant.A, self._plant.B
-        G, H = predictor_gains(A, B, self._plant.nominal_gain, T)
-        radii = input_memory_radii(A, B, G, H, T)
-        return _Choice(G, "uncertified", Certificate(spectral_radii=radii), H)
 
     def _certify(self, gain: FloatArray, T: int, witness: Witness | None) -> Certificate:
         return certify(*self._plant.closed_loop(gain), T, witness, simulations=SIMULATIONS)
