@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import SupportsIndex, get_args
 
 import numpy as np
@@ -81,8 +83,7 @@ class GainDesigner:
         if method not in CERTIFYING:
             require_network(plant, f"the method {method!r}")
         self._plant, self._method, self._rate = plant, method, as_decay_rate(decay_rate)
-        self._synthesis: KrasovskiiSynthesis | RazumikhinSynthesis | None = None
-        self._nominal_fails_at: int | None = None
+        self._nominal_fails_at = math.inf
 
     def design(self, delay_steps: SupportsIndex) -> GainDesign:
         """Return the gain for all delays up to `delay_steps` samples.
@@ -122,8 +123,7 @@ class GainDesigner:
         certificate = self._certify(nominal, T, self._nominal_witness(T))
         if certificate.certified:
             return nominal, "nominal", certificate
-        if self._nominal_fails_at is None or self._nominal_fails_at > T:
-            self._nominal_fails_at = T
+        self._nominal_fails_at = min(self._nominal_fails_at, T)
         found = self._minimal_deviation(T)
         if found is not None:
             adjusted = self._certify(found[0], T, found[1])
@@ -157,7 +157,7 @@ class GainDesigner:
 
     def _nominal_witness(self, T: int) -> Witness | None:
         # Both conditions become harder with T, so one failure answers for every longer delay.
-        if self._nominal_fails_at is not None and self._nominal_fails_at <= T:
+        if self._nominal_fails_at <= T:
             return None
         loop = self._plant.closed_loop(self._plant.nominal_gain)
         if self._method == "krasovskii":
@@ -167,11 +167,13 @@ class GainDesigner:
     def _minimal_deviation(self, T: int) -> tuple[FloatArray, Witness] | None:
         if self._method == "razumikhin" and self._plant.kind == "network":
             return None  # C1 needs a stable A_c = A, which no gain changes
-        if self._synthesis is None and self._method == "razumikhin":
-            self._synthesis = RazumikhinSynthesis(self._plant, self._rate)
-        elif self._synthesis is None:
-            self._synthesis = KrasovskiiSynthesis(self._plant)
         return self._synthesis.minimal_deviation(T)
+
+    @cached_property
+    def _synthesis(self) -> KrasovskiiSynthesis | RazumikhinSynthesis:
+        if self._method == "razumikhin":
+            return RazumikhinSynthesis(self._plant, self._rate)
+        return KrasovskiiSynthesis(self._plant)
 
 
 def design_gain(

@@ -100,7 +100,7 @@ def analyse_krasovskii(
             P << np.eye(n),
         ],
     )
-    if not solve(problem) or margin.value is None or margin.value <= 0.0:
+    if not solve(problem) or margin.value <= 0.0:
         return None
     P, S, R, X = (scaling.T @ value @ scaling for value in (P.value, S.value, R.value, X.value))
     return KrasovskiiWitness(P=symmetrised(P), S=symmetrised(S) / T, R=symmetrised(R) / T, X=X / T)
@@ -230,7 +230,7 @@ class KrasovskiiSynthesis:
         self._steps.value, self._per_step.value = float(T), 1.0 / T
         self._epsilon.value, self._eps_steps.value = epsilon, epsilon * T
         self._weight.value = weight
-        if not solve(self._problem) or self._Q2.value is None:
+        if not solve(self._problem):
             return None
         Q2 = np.asarray(self._Q2.value)
         K = np.linalg.solve(Q2.T, np.asarray(self._Y.value).T).T @ self._scaling
@@ -288,7 +288,7 @@ class FixedFunctional:
         if self._plant.A_d is not None:
             self._late.value = T * transformed(C, self._plant.A_d)
         self._weight.value = symmetrised(np.linalg.inv(identity / T + self._R.value))
-        if not solve(self._problem) or self._K.value is None:
+        if not solve(self._problem):
             return None
         S, X = (C.T @ M.value @ C / T for M in (self._S, self._X))
         witness = KrasovskiiWitness(P=P, S=symmetrised(S), R=R, X=X)

@@ -24,7 +24,7 @@ STRICT = 1e-6
 
 
 def solve(problem: cp.Problem) -> bool:
-    """Solve with Clarabel and return whether there is a solution to look at.
+    """Solve with Clarabel and return whether the variables have values to look at.
 
     Inaccurate solutions count: whatever comes out passes the independent certificate before it
     is used, so the solver's word is never relied on.

@@ -237,7 +237,7 @@ class LargestMargin:
         """Return (margin, P) for these weights, or None if the solver gave up."""
         for parameter, weight in zip(self._weights, weights, strict=True):
             parameter.value = weight
-        if not solve(self._problem) or self._margin.value is None:
+        if not solve(self._problem):
             return None
         return float(self._margin.value), np.asarray(self._P.value)
 
@@ -336,7 +336,7 @@ class RazumikhinSynthesis:
         if p <= 0.0:
             return None
         self._p.value, self._tau.value, self._weight.value = p, tau, weight
-        if not solve(self._free) or self._Q.value is None:
+        if not solve(self._free):
             return None
         P = symmetrised(np.linalg.inv(self._Q.value))
         K = np.asarray(self._Y.value) @ P @ self._scaling
@@ -374,7 +374,7 @@ class RazumikhinSynthesis:
         """Solve (a) for P = C^T C."""
         self._A_w.value, self._A_d_w.value, self._B_w.value = self._in_coordinates(C)
         self._C.value, self._gamma.value = C, gamma
-        if not solve(self._fixed) or self._K_w.value is None:
+        if not solve(self._fixed):
             return None
         return self._solution(self._K_w.value @ C, C.T @ C, float(self._free_tau.value))
 
