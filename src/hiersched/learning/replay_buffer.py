@@ -32,8 +32,6 @@ class ReplayBuffer:
     `feature_shape` is (U, F), `num_urllc` R.
     """
 
-    _ARRAYS = ("_features", "_prb_count", "_base_reward", "_constraint")
-
     def __init__(
         self,
         num_seeds: int,
@@ -43,14 +41,15 @@ class ReplayBuffer:
         num_urllc: int,
         feature_shape: tuple[int, int],
     ) -> None:
-        place = (num_seeds, num_rounds, num_slots, num_envs)
+        num_users, place = feature_shape[0], (num_seeds, num_rounds, num_slots, num_envs)
         # One slot more than transitions: the features of t + 1 are the next ones of t.
-        self._features = np.zeros(
-            (num_seeds, num_rounds, num_slots + 1, num_envs, *feature_shape), np.float32
-        )
-        self._prb_count = np.zeros((*place, feature_shape[0]), np.float32)
-        self._base_reward = np.zeros((*place, feature_shape[0]), np.float32)
-        self._constraint = np.zeros((*place, num_urllc), np.float32)
+        shapes = {
+            "features": (num_seeds, num_rounds, num_slots + 1, num_envs, *feature_shape),
+            "prb_count": (*place, num_users),
+            "base_reward": (*place, num_users),
+            "constraint": (*place, num_urllc),
+        }
+        self._arrays = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
         self._num_rounds, self._num_slots, self._num_envs = num_rounds, num_slots, num_envs
         self._started = self._slot = 0
 
@@ -63,15 +62,14 @@ class ReplayBuffer:
         """Begin a round with features (seeds, envs, U, F), in place of the oldest one."""
         self._started += 1
         self._slot = 0
-        self._features[:, self._row, 0] = features
+        self._arrays["features"][:, self._row, 0] = features
 
     def add(self, outcome: Outcome) -> None:
         """Add a slot of all environments."""
         row, slot = self._row, self._slot
-        self._prb_count[:, row, slot] = outcome.prb_count
-        self._base_reward[:, row, slot] = outcome.base_reward
-        self._constraint[:, row, slot] = outcome.constraint
-        self._features[:, row, slot + 1] = outcome.next_features
+        for name in ("prb_count", "base_reward", "constraint"):
+            self._arrays[name][:, row, slot] = getattr(outcome, name)
+        self._arrays["features"][:, row, slot + 1] = outcome.next_features
         self._slot += 1
 
     def sample(self, batch_size: int, generators: list[np.random.Generator]) -> Transitions:
@@ -84,14 +82,9 @@ class ReplayBuffer:
         first = max(self._started - self._num_rounds, 0)
         row = (first + age) % self._num_rounds
         seed = np.arange(len(generators))[:, None]
-        here = (seed, row, slot, env)
-        return Transitions(
-            features=self._features[here],
-            prb_count=self._prb_count[here],
-            base_reward=self._base_reward[here],
-            constraint=self._constraint[here],
-            next_features=self._features[seed, row, slot + 1, env],
-        )
+        following = self._arrays["features"][seed, row, slot + 1, env]
+        drawn = {name: array[seed, row, slot, env] for name, array in self._arrays.items()}
+        return Transitions(**drawn, next_features=following)
 
     @property
     def _row(self) -> int:
@@ -99,11 +92,10 @@ class ReplayBuffer:
 
     def state(self) -> dict[str, Any]:
         """Everything needed to go on, for `load_state`."""
-        arrays = {name: torch.from_numpy(getattr(self, name)) for name in self._ARRAYS}
+        arrays = {name: torch.from_numpy(array) for name, array in self._arrays.items()}
         return {"arrays": arrays, "started": self._started, "slot": self._slot}
 
     def load_state(self, state: dict[str, Any]) -> None:
         """Take over what `state` returned."""
-        for name, saved in state["arrays"].items():
-            setattr(self, name, saved.numpy())
+        self._arrays = {name: saved.numpy() for name, saved in state["arrays"].items()}
         self._started, self._slot = state["started"], state["slot"]
