@@ -77,7 +77,7 @@ def test_uncertified_gains_are_reported_while_they_are_in_force(tiny: Scenario) 
 
 def test_gains_without_certificate_are_reported(tiny: Scenario, designed) -> None:
     schedule, _ = load_gains(designed / "gains" / "schedule.json", tiny)
-    unproven = Certificate.without_witness(schedule.certificates[2].spectral_radii)
+    unproven = Certificate(spectral_radii=schedule.certificates[2].spectral_radii)
     broken = replace(
         schedule,
         status=("nominal", "nominal", "infeasible"),

@@ -153,12 +153,8 @@ def _schedule(scenario: Scenario) -> GainSchedule:
     certificates = tuple(
         Certificate(
             certified=delay < steps,
-            criterion="none",
-            delay_steps=delay,
-            margins={},
             tolerance=1e-9,
             spectral_radii=np.linspace(0.9, 0.95, delay + 1),
-            witness=None,
         )
         for delay in range(steps + 1)
     )

@@ -162,4 +162,3 @@ def has_learners(scenario: Scenario) -> bool:
 def has_bound(scenario: Scenario) -> bool:
     """Whether exact optima are computed."""
     return scenario.bound.slots_per_log > 0
-
