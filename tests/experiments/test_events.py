@@ -9,7 +9,7 @@ from hypothesis.extra.numpy import arrays
 
 from hiersched.control import Certificate, build_schedule
 from hiersched.experiments.gains import load_gains
-from hiersched.runs.events import slot_events, stretches
+from hiersched.experiments.events import slot_events, stretches
 from hiersched.scenario import Scenario
 from hiersched.simulator.loop_gains import plant_of
 

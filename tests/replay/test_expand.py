@@ -18,7 +18,7 @@ from hiersched.log import LogReader, log_digest
 from hiersched.replay.compare import compare_logs
 from hiersched.replay.verify import expand, verify
 from hiersched.runs import paths
-from hiersched.runs.logged import load_run
+from hiersched.experiments.logged import load_run
 from hiersched.scenario import Scenario
 
 TRAINING = "train/ddpg/seed1.mcap"

@@ -19,7 +19,7 @@ from hiersched.core import registry
 from hiersched.log import LogError, LogReader, log_digest
 from hiersched.replay.verify import expand, verify
 from hiersched.runs import paths
-from hiersched.runs.logged import load_run, read_slots
+from hiersched.experiments.logged import load_run, read_slots
 from hiersched.scenario import load_scenario
 
 PLUGIN = '''

@@ -19,7 +19,7 @@ from hiersched.runs.variants import gain_designs
 from hiersched.log import TOPICS, LogError, LogReader, LogWriter
 from hiersched.replay.verify import expand, verify
 from hiersched.runs import logged, paths
-from hiersched.runs.logged import load_run
+from hiersched.experiments.logged import load_run
 from hiersched.scenario import Scenario
 
 FULL = "eval/edf/seed12.mcap"

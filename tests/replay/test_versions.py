@@ -15,7 +15,7 @@ from hiersched.core.fields import Field
 from hiersched.log import LogError, LogReader, log_digest
 from hiersched.replay.compare import compare_logs
 from hiersched.replay.verify import verify
-from hiersched.runs.logged import load_run, read_slots
+from hiersched.experiments.logged import load_run, read_slots
 
 PF, DDPG = "eval/pf/seed11.mcap", "eval/ddpg/seed11.mcap"
 TORQUE = Field("/robots", "torque_nm", "<f4", ("R", 2), "N m", "of both wheels", ("full",))

@@ -24,7 +24,7 @@ from hiersched.control import Certificate, GainSchedule
 from hiersched.core.files import csv_text, write_bytes
 from hiersched.log import TOPICS, LogDims, LogWriter
 from hiersched.runs import paths
-from hiersched.runs.logged import RunSlots
+from hiersched.experiments.logged import RunSlots
 from hiersched.scenario import Scenario, load_scenario
 from hiersched.scenario.schema import checkpoint_rounds
 from hiersched.simulator.loop_gains import plant_of

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from hiersched.core.fields import SLICE_FIELDS
 from hiersched.core.files import write_parquet
 from hiersched.experiments import files
+from hiersched.experiments.logged import RunSlots, read_slots
+from hiersched.experiments.logging import slice_fields
 from hiersched.experiments.points import (
     GAIN_GROUP,
     Experiment,
@@ -27,8 +29,6 @@ from hiersched.experiments.points import (
     trained_learners,
 )
 from hiersched.log import LogError, LogReader
-from hiersched.runs.logged import RunSlots, read_slots
-from hiersched.runs.logging import slice_fields
 from hiersched.scenario import Scenario
 from hiersched.scenario.schema import checkpoint_rounds
 from hiersched.study.metrics import (

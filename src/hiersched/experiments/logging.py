@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from hiersched.control import GainSchedule
 from hiersched.core.fields import fields_to_text
+from hiersched.experiments.events import slot_events
 from hiersched.log import LogDims, LogWriter
 from hiersched.log.schema import MODEL_FIELDS
 from hiersched.models.model import model_fields, num_model_values
-from hiersched.runs.events import slot_events
 from hiersched.scenario import Scenario, scenario_sha256, scenario_to_yaml
 
 if TYPE_CHECKING:
