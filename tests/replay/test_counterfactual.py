@@ -22,7 +22,7 @@ from hiersched.replay.compare import compare_logs
 from hiersched.replay.counterfactual import policy_of, rerun
 from hiersched.replay.verify import verify
 from hiersched.runs import paths
-from hiersched.runs.logged import load_run
+from hiersched.experiments.logged import load_run
 from hiersched.scenario import Scenario
 from hiersched.study.metrics import measured_row, metrics_row, run_metrics
 

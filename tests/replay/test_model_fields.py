@@ -17,10 +17,9 @@ from hiersched.runs.policies import untrained_policies
 from hiersched.cli import main
 from hiersched.core import registry
 from hiersched.log import LogError, LogReader, log_digest
-from hiersched.replay.expand import expand
-from hiersched.replay.verify import verify
+from hiersched.replay.verify import expand, verify
 from hiersched.runs import paths
-from hiersched.runs.logged import load_run, read_slots
+from hiersched.experiments.logged import load_run, read_slots
 from hiersched.scenario import load_scenario
 
 PLUGIN = '''

@@ -10,7 +10,7 @@ import pytest
 
 from hiersched.control import build_schedule, hold_delays
 from hiersched.models.plant.unicycle import SLIP, STATE
-from hiersched.runs.events import entries_in_force
+from hiersched.experiments.events import entries_in_force
 from hiersched.simulator.loop_gains import LoopGains, loop_gains, plant_of
 
 STILL = {

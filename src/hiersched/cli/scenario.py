@@ -22,11 +22,9 @@ def add_commands(commands: Any) -> None:
 
 
 def _check(parsed: argparse.Namespace) -> int:
-    from hiersched.experiments.points import experiments
-    from hiersched.scenario import load_scenario
+    from hiersched.experiments.points import load_study
 
-    scenario = load_scenario(parsed.file)
-    experiments(scenario)
+    scenario = load_study(parsed.file)
     print(
         f"{parsed.file}: scenario {scenario.name} is fine: {scenario.users.num_urllc} URLLC and "
         f"{scenario.users.num_embb} eMBB users, {scenario.radio.num_prb} PRBs"

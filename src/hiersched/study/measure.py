@@ -32,8 +32,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from hiersched.core.fields import SLICE_FIELDS
 from hiersched.core.files import write_parquet
 from hiersched.experiments import files
+from hiersched.experiments.logged import RunSlots, read_slots
+from hiersched.experiments.logging import slice_fields
 from hiersched.experiments.points import (
     GAIN_GROUP,
     Experiment,
@@ -44,8 +47,6 @@ from hiersched.experiments.points import (
     trained_learners,
 )
 from hiersched.log import LogError, LogReader
-from hiersched.runs.logged import RunSlots, read_slots
-from hiersched.runs.logging import slice_fields
 from hiersched.scenario import Scenario
 from hiersched.scenario.schema import checkpoint_rounds
 from hiersched.study.metrics import (
@@ -348,7 +349,7 @@ def _episode_columns(log: LogReader, length: int) -> dict[str, NDArray[Any]]:
     """Return the columns of `training_episodes`, one value for every `length` slots."""
     reward = log.read("/delay", ["reward_urllc", "reward_embb"])
     if log.profile == "decisions":
-        slices = log.read("/slices")
+        slices = log.read("/delay", SLICE_FIELDS)
     else:
         users = log.read("/delay", ["due_packets", "late_packets"])
         users |= log.read("/queue", ["backlog_packets"])

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hiersched.experiments.logged import RunSlots, read_slots
 from hiersched.log import LogError
-from hiersched.runs.logged import RunSlots, read_slots
 from hiersched.scenario import Scenario
 from hiersched.study.fifo import (
     FloatArray,

@@ -162,10 +162,3 @@ def has_learners(scenario: Scenario) -> bool:
 def has_bound(scenario: Scenario) -> bool:
     """Whether exact optima are computed."""
     return scenario.bound.slots_per_log > 0
-
-
-def shown(registry: Registry[Shown], scenario: Scenario) -> dict[str, Shown]:
-    """Return what of a registry a scenario shows, by name."""
-    import hiersched.study.built_in  # noqa: F401  # registers ours
-
-    return {name: registry[name] for name in registry if registry[name].when(scenario)}

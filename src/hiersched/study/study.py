@@ -115,7 +115,8 @@ class Study:
     def _episodes(self, kind: str) -> dict[str, pd.DataFrame]:
         table = self.measures("episodes")
         own = table[table["kind"] == kind]
-        return {str(name): rows.reset_index(drop=True) for name, rows in own.groupby("group")}
+        found = {str(name): rows.reset_index(drop=True) for name, rows in own.groupby("group")}
+        return {name: found[name] for name in self.scenario.learned if name in found}
 
     def robots(self, experiment: str) -> pd.DataFrame:
         """Windows of an experiment of the gain study: table ``windows`` of `measure`."""

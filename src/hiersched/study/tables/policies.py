@@ -208,7 +208,8 @@ def along_axes(study: Study, *axes: str) -> pd.DataFrame:
 )
 def run_table(study: Study) -> pd.DataFrame:
     """Return one row a run: numbers to compute with."""
-    return study.runs
+    runs = pd.concat([study.evaluation, study.cells, study.sweeps], ignore_index=True)
+    return runs.drop(columns=["experiment", "group"])
 
 
 @table(

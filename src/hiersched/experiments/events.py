@@ -24,21 +24,8 @@ def slot_events(
 ) -> list[Event]:
     """Events of a block of slots of one world: one for every stretch of slots of the same trouble.
 
-    Parameters
-    ----------
-    scenario
-        Deadlines and sampling interval.
-    schedule
-        Says at which delays the gain in force is not certified.
-    fields
-        Fields of `SlotRecord`, leading axis (T,).
-    first_slot
-        Number of the block's first slot.
-
-    Returns
-    -------
-    list of Event
-        Ordered by slot.
+    `fields` are those of `SlotRecord`, leading axis (T,), from `first_slot` on; `schedule` says at
+    which delays the gain in force is not certified. They are ordered by slot.
     """
     events = [
         *_late_users(scenario, fields),

@@ -8,16 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hiersched.runs.stability import (
+
+from hiersched.control import GainSchedule, spectral_radius_by_delay
+from hiersched.experiments import stability
+from hiersched.experiments.stability import (
     adjusted_delay,
     certified_delays,
     last_stable,
     longest_delay,
     write_stability,
 )
-
-from hiersched.control import GainSchedule, spectral_radius_by_delay
-from hiersched.runs import stability
 from hiersched.scenario import Scenario
 from hiersched.simulator.loop_gains import plant_of
 
@@ -60,7 +60,7 @@ def test_the_region_of_an_adjusted_gain(tiny: Scenario, designed: Path) -> None:
     radii = spectral_radius_by_delay(*plant.closed_loop(own.gain(2)), own.max_delay_steps)
     assert adjusted_delay(plant, own, 2) == last_stable(radii) == 2
     # The predictor for 2 samples, with its memory of inputs, is stable at 2.
-    assert adjusted_delay(plant, schedule("schedule_predictor"), 2) == 2
+    assert adjusted_delay(plant, schedule("schedule_method_predictor"), 2) == 2
 
 
 def test_the_file_has_every_weight_and_sampling_interval(

@@ -14,7 +14,7 @@ from hiersched.runs.variants import design_of, gain_designs, study_scenario
 from hiersched.log import LogReader
 from hiersched.replay.verify import verify
 from hiersched.runs import paths
-from hiersched.runs.logged import load_run
+from hiersched.experiments.logged import load_run
 from hiersched.scenario import Scenario, load_scenario
 
 

@@ -1,26 +1,25 @@
-"""Cells of other sizes, the exact optimum as a policy, and the bound on logged slots."""
+"""The exact optimum as a policy, and the bound on logged slots."""
 
 from __future__ import annotations
 
 import csv
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hiersched.runs.bound import compute_bound, greedy_assignment, sampled_slots
-from hiersched.runs.evaluate import evaluate
-from hiersched.runs.gains import load_gains
-from hiersched.runs.generalise import generalise
-from hiersched.runs.policies import seed_worlds, untrained_policies
-from hiersched.runs.variants import cell_scenario, swept_policies
 
 from hiersched.allocation.exact import exact_allocation, lagrangian, owned_rates
-from hiersched.log import LogReader
+from hiersched.experiments import files
+from hiersched.experiments.bound import compute_bound, greedy_assignment, sampled_slots
+from hiersched.experiments.gains import load_gains
+from hiersched.experiments.worlds import seed_worlds
 from hiersched.policies.exact import slot_terms
-from hiersched.runs import paths
-from hiersched.scenario import Scenario, ScenarioError
+from hiersched.scenario import Scenario
 from hiersched.simulator import Simulator
+
+Run = Callable[..., None]
 
 
 def with_policies(scenario: Scenario, *policies: str) -> Scenario:
@@ -29,11 +28,11 @@ def with_policies(scenario: Scenario, *policies: str) -> Scenario:
 
 
 @pytest.fixture
-def bound(tiny: Scenario, results: Path) -> list[dict[str, str]]:
+def bound(tiny: Scenario, results: Path, run: Run) -> list[dict[str, str]]:
     scenario = with_policies(tiny, "drift_plus_penalty", "pf", "exact")
-    evaluate(scenario, results, "classical", untrained_policies)
-    compute_bound(scenario, results, results / paths.BOUND)
-    with (results / paths.BOUND).open(newline="") as file:
+    run(scenario, "evaluate")
+    compute_bound(scenario, results, results / files.BOUND)
+    with (results / files.BOUND).open(newline="") as file:
         return list(csv.DictReader(file))
 
 
@@ -69,13 +68,13 @@ def test_every_scheduler_is_asked_in_the_states_of_the_reference(
     }
 
 
-def test_values_are_those_of_the_first_slot(tiny: Scenario, results: Path) -> None:
+def test_values_are_those_of_the_first_slot(tiny: Scenario, results: Path, run: Run) -> None:
     """Slot 0 from the simulator's own state: the optimum there, and what PF was worth."""
     scenario = with_policies(tiny, "pf")
     scenario = replace(scenario, evaluate=replace(scenario.evaluate, duration_s=0.01))
-    evaluate(scenario, results, "classical", untrained_policies)
-    compute_bound(scenario, results, results / paths.BOUND)
-    with (results / paths.BOUND).open(newline="") as file:
+    run(scenario, "evaluate")
+    compute_bound(scenario, results, results / files.BOUND)
+    with (results / files.BOUND).open(newline="") as file:
         row = next(csv.DictReader(file))
     _, gains = load_gains(results / "gains/schedule.json", scenario)
     simulator = Simulator(scenario, gains, seed_worlds("evaluate", [11]), 1)
@@ -103,23 +102,23 @@ def test_terms_of_a_slot_have_the_offset_of_the_dexterity_index(
 
 @pytest.mark.parametrize("profile", ["compact", "decisions"])
 def test_slots_of_small_logs_are_computed_again(
-    tiny: Scenario, results: Path, profile: str
+    tiny: Scenario, results: Path, run: Run, profile: str
 ) -> None:
     texts = []
     for name in ("full", profile):
         scenario = replace(with_policies(tiny, "pf"), log=replace(tiny.log, evaluate_profile=name))
-        evaluate(scenario, results, "classical", untrained_policies)
-        compute_bound(scenario, results, results / paths.BOUND)
-        texts.append((results / paths.BOUND).read_text())
+        run(scenario, "evaluate")
+        compute_bound(scenario, results, results / files.BOUND)
+        texts.append((results / files.BOUND).read_text())
     assert texts[0] == texts[1]
 
 
-def test_only_slots_behind_the_warm_up_count(tiny: Scenario, results: Path) -> None:
+def test_only_slots_behind_the_warm_up_count(tiny: Scenario, results: Path, run: Run) -> None:
     scenario = with_policies(tiny, "pf")
     scenario = replace(scenario, evaluate=replace(scenario.evaluate, warmup_s=0.05))
-    evaluate(scenario, results, "classical", untrained_policies)
-    compute_bound(scenario, results, results / paths.BOUND)
-    with (results / paths.BOUND).open(newline="") as file:
+    run(scenario, "evaluate")
+    compute_bound(scenario, results, results / files.BOUND)
+    with (results / files.BOUND).open(newline="") as file:
         slots = {int(row["slot"]) for row in csv.DictReader(file)}
     assert slots == {6, 10, 13}
 
@@ -132,37 +131,3 @@ def test_greedy_assignment_takes_the_cheapest_pair_first() -> None:
 def test_sampled_slots_are_the_middles_of_equal_parts() -> None:
     assert sampled_slots(1400, 4).tolist() == [175, 525, 875, 1225]
     assert sampled_slots(2, 5).tolist() == [0, 1]
-
-
-def test_a_cell_keeps_the_spread_of_the_loads_and_the_width_of_a_prb(tiny: Scenario) -> None:
-    traffic = replace(tiny.traffic, urllc_offered_mbps=(10.0, 30.0), embb_offered_mbps=22.0)
-    base = replace(tiny, traffic=traffic)
-    cells = [cell_scenario(base, cell) for cell in ((1, 3, 5), (2, 2, 5), (3, 1, 10), (4, 4, 10))]
-    offered = [cell.traffic.urllc_offered_mbps for cell in cells]
-    assert offered == [(20.0,), (10.0, 30.0), (10.0, 20.0, 30.0), (10.0, 10.0, 30.0, 30.0)]
-    for cell in cells:
-        assert cell.radio.bandwidth_hz / cell.radio.num_prb == pytest.approx(4e5)
-        assert cell.traffic.embb_offered_mbps == 22.0
-    with pytest.raises(ScenarioError, match=r"generalise\.cells = \[4, 2, 5\]"):
-        cell_scenario(base, (4, 2, 5))
-
-
-def test_logs_of_other_cells(tiny: Scenario, results: Path) -> None:
-    study = replace(tiny.generalise, cells=((1, 3, 6), (3, 4, 9)), seeds=(41, 42), duration_s=0.05)
-    scenario = replace(tiny, generalise=replace(study, policies=("pf", "edf")))
-    generalise(scenario, results, "classical", untrained_policies)
-    names = paths.cell_logs(scenario, "classical")
-    assert len(names) == 2 * 2 * 2
-    for name in names:
-        with LogReader(results / name) as log:
-            assert log.metadata["axis"] == "cell"
-            assert f"/{log.metadata['value']}/{log.metadata['policy']}/" in f"/{name}"
-            sizes = (log.dims.num_urllc, log.dims.num_embb, log.dims.num_prb)
-            assert "u{}_e{}_k{}".format(*sizes) == log.metadata["value"]
-            assert log.num_slots == 5
-
-
-def test_along_the_load_all_evaluated_policies_run_but_the_slow_one(tiny: Scenario) -> None:
-    scenario = with_policies(tiny, "ddpg", "edf", "exact")
-    assert swept_policies(scenario, "load") == ("ddpg", "pf", "edf")
-    assert swept_policies(scenario, "reference") == ("ddpg", "pf")

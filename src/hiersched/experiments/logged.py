@@ -13,32 +13,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.control import GainSchedule
+from hiersched.core.fields import FIELDS
 from hiersched.core.randomness import world_key, world_keys
-from hiersched.log import TOPICS, LogError, LogReader
+from hiersched.experiments.logging import logged_fields
+from hiersched.log import LogError, LogReader
 from hiersched.policies.policy import LoggedDecisions
-from hiersched.runs.logging import logged_fields
 from hiersched.scenario import Scenario, ScenarioError, load_resolved
 from hiersched.simulator import Gains, Simulator
 from hiersched.simulator.loop_gains import loop_gains
 
 STAGES = ("train", "checkpoint", "evaluate", "sweep", "generalise", "gain_study")
-_BATCH_SLOTS = 8192  # what is computed at once: memory for a few dozen megabytes of records
+BATCH_SLOTS = 8192  # what is computed at once: memory for a few dozen megabytes of records
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Slots that are computed at once: `num_envs` episodes, `num_slots` of each.
+    """Slots that are computed at once: `num_slots` each of `num_envs` episodes.
 
-    Parameters
-    ----------
-    first_slot
-        Number of the first slot in the log.
-    first_env, num_envs
-        Which episodes.
-    num_slots
-        Slots of each episode.
-    begins
-        Whether these are the first slots of their episodes.
+    `first_slot` and `first_env` are the first ones in the log; `begins`: they begin their episodes.
     """
 
     first_slot: int
@@ -59,12 +51,8 @@ class LoggedRun:
 
     Attributes
     ----------
-    path
-        The log.
-    metadata, attachments
-        Those of the log.
-    profile
-        That of the log.
+    unknown_fields
+        Those of `LogReader`, which cannot be computed.
     scenario, schedule, gains
         What the run was of: from the attachments.
     added_keys
@@ -81,7 +69,7 @@ class LoggedRun:
     path: Path
     metadata: dict[str, str]
     attachments: dict[str, bytes]
-    profile: str
+    unknown_fields: tuple[str, ...]
     scenario: Scenario
     schedule: GainSchedule
     gains: Gains
@@ -96,6 +84,11 @@ class LoggedRun:
         return self.metadata["stage"]
 
     @property
+    def profile(self) -> str:
+        """One of `core.fields.PROFILES`, or that of another version."""
+        return self.metadata["profile"]
+
+    @property
     def policy(self) -> str:
         """Name of the policy that decided."""
         return self.metadata["policy"]
@@ -108,11 +101,11 @@ class LoggedRun:
     def batches(self) -> Iterator[Batch]:
         """Cut the run into batches, in the order of the log."""
         if len(self.keys) == 1:
-            for first in range(0, self.num_slots, _BATCH_SLOTS):
-                count = min(_BATCH_SLOTS, self.num_slots - first)
+            for first in range(0, self.num_slots, BATCH_SLOTS):
+                count = min(BATCH_SLOTS, self.num_slots - first)
                 yield Batch(first, 0, 1, count, first == 0)
             return
-        at_once = max(1, _BATCH_SLOTS // self.episode_slots)
+        at_once = max(1, BATCH_SLOTS // self.episode_slots)
         whole, rest = divmod(self.num_slots, self.episode_slots)
         for env in range(0, whole, at_once):
             count = min(at_once, whole - env)
@@ -122,12 +115,7 @@ class LoggedRun:
 
 
 def load_run(path: str | os.PathLike[str]) -> LoggedRun:
-    """Read what a log says about its run.
-
-    Parameters
-    ----------
-    path
-        A log of one of the stages; it is checked whole.
+    """Read what a log of one of the stages says about its run; the log is checked whole.
 
     Raises
     ------
@@ -136,8 +124,8 @@ def load_run(path: str | os.PathLike[str]) -> LoggedRun:
     """
     with LogReader(path) as log:
         metadata, attachments = log.metadata, log.attachments
-        num_slots, profile = log.num_slots, log.profile
-        slots = log.read(log.topics[0], [])["slot"]
+        num_slots, unknown_fields = log.num_slots, log.unknown_fields
+        slots = log.read(log.topics[0], [])["slot"] if log.topics else np.empty(0)
 
     def fail(what: str) -> LogError:
         return LogError(path, 0, f"cannot be run again: {what}")
@@ -162,7 +150,7 @@ def load_run(path: str | os.PathLike[str]) -> LoggedRun:
         path=Path(path),
         metadata=metadata,
         attachments=attachments,
-        profile=profile,
+        unknown_fields=unknown_fields,
         scenario=scenario,
         schedule=schedule,
         gains=loop_gains(schedule, scenario.control.gain),
@@ -201,22 +189,10 @@ def _schedule(text: bytes) -> GainSchedule:
 
 @dataclass(frozen=True, kw_only=True)
 class RunSlots:
-    """Fields of every slot of a run.
+    """Fields of every slot of a run: name -> values, leading axis (T,).
 
-    Attributes
-    ----------
-    source
-        The log, or the name of a run that has none.
-    metadata
-        That of the log.
-    num_urllc
-        URLLC users, the first of the users.
-    slot_s
-        Length of a slot [s].
-    warmup_slots
-        Slots at the start that measures leave out.
-    fields
-        Name -> values, leading axis (T,).
+    `source` is the log, or the name of a run that has none. URLLC users are the first `num_urllc`;
+    measures leave out the first `warmup_slots` slots, of `slot_s` [s] each.
     """
 
     source: str | os.PathLike[str]
@@ -231,41 +207,37 @@ class RunSlots:
         return self.fields[name][self.warmup_slots :]
 
 
-_TOPIC_OF = {field.name: topic for topic, entry in TOPICS.items() for field in entry.fields[1:]}
+TOPIC_OF = {field.name: field.topic for field in FIELDS}
+"""Topic of each field of the table."""
 
 
 def read_slots(path: str | os.PathLike[str], names: Sequence[str]) -> RunSlots:
     """Read fields of every slot of a run in one world, whatever the profile of its log.
 
     What the log has is read. What it lacks is computed from its decisions, and whatever else the
-    log has must come out of them to the last bit.
-
-    Parameters
-    ----------
-    path
-        A log.
-    names
-        Fields, as in `log.TOPICS`.
+    log has, of what this version knows, must come out of them to the last bit.
 
     Raises
     ------
     LogError
         If the log is damaged, or is not what the simulator computes from its decisions.
     ValueError
-        On an unknown field.
+        On a field that is not in the table.
     """
-    if unknown := [name for name in names if name not in _TOPIC_OF]:
+    if unknown := [name for name in names if name not in TOPIC_OF]:
         raise ValueError(f"names: {', '.join(unknown)}: no field of a log")
     with LogReader(path, verify="chunks") as log:
-        present = [
-            field.name for topic in log.topics for field in TOPICS[topic].fields_in(log.profile)[1:]
-        ]
-        complete = set(present).issuperset(names)
+        wanted = {topic: [n for n in names if TOPIC_OF[n] == topic] for topic in TOPIC_OF.values()}
+        complete = all(
+            topic in log.topics and set(own) <= set(log.known_fields(topic))
+            for topic, own in wanted.items()
+            if own
+        )
         fields: dict[str, NDArray[Any]] = {}
         for topic in log.topics:
-            wanted = [n for n in (names if complete else present) if _TOPIC_OF[n] == topic]
-            if wanted:
-                fields |= log.read(topic, wanted)
+            own = wanted.get(topic, []) if complete else log.known_fields(topic)
+            if own:
+                fields |= log.read(topic, own)
         fields.pop("slot", None)
         metadata, num_urllc, slot_s = log.metadata, log.dims.num_urllc, log.slot_ns * 1e-9
     return RunSlots(
@@ -278,22 +250,29 @@ def read_slots(path: str | os.PathLike[str], names: Sequence[str]) -> RunSlots:
     )
 
 
+def needed_field(run: LoggedRun, logged: dict[str, NDArray[Any]], name: str) -> NDArray[Any]:
+    """Return what only the log says of a run; LogError if it does not."""
+    if name not in logged:
+        raise LogError(run.path, 0, f"it has no {name}, which nothing else says")
+    return logged[name]
+
+
 def _recompute(
     run: LoggedRun, logged: dict[str, NDArray[Any]], names: Sequence[str]
 ) -> dict[str, NDArray[Any]]:
     """Run a world again under its logged allocation, checked against all that is logged."""
     if len(run.keys) != 1 or run.stage == "gain_study":
         raise LogError(run.path, 0, "not of a policy in one world: its slots cannot be computed")
+    owners = needed_field(run, logged, "prb_owner")
     simulator = Simulator(run.scenario, run.gains, run.keys, run.num_slots)
-    multipliers = logged["multiplier"][:1].copy()
+    multipliers = needed_field(run, logged, "multiplier")[:1].copy()
     parts: dict[str, list[NDArray[Any]]] = {name: [] for name in names}
     for batch in run.batches():
         here = slice(batch.first_slot, batch.stop_slot)
-        decisions = LoggedDecisions(logged["prb_owner"][None, here])
-        record = simulator.run(decisions, multipliers=multipliers)
+        record = simulator.run(LoggedDecisions(owners[None, here]), multipliers=multipliers)
         if "weight" in logged:  # which decided nothing here
             record.weight[0] = logged["weight"][here]
-        computed = logged_fields(run.profile, run.scenario, record.environment(0))
+        computed = logged_fields((*logged, *names), run.scenario, record.environment(0))
         for name, values in logged.items():
             if values[here].tobytes() != computed[name].tobytes():
                 raise LogError(run.path, 0, f"its {name} does not follow from its decisions")

@@ -22,7 +22,7 @@ from hiersched.learning.policy import TrainedPolicy
 from hiersched.log import LogReader
 from hiersched.runs import paths
 from hiersched.runs import train as stage
-from hiersched.runs.logging import RunLabel
+from hiersched.experiments.logging import RunLabel
 from hiersched.scenario import Scenario
 from hiersched.scenario.schema import checkpoint_rounds
 from hiersched.simulator import Simulator

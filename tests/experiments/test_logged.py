@@ -12,10 +12,10 @@ from hiersched.runs.policies import untrained_policies
 
 from hiersched.log import TOPICS, LogError, LogReader, LogWriter
 from hiersched.runs import paths
-from hiersched.runs.logged import load_run, read_slots
+from hiersched.experiments.logged import load_run, read_slots
 from hiersched.scenario import Scenario
 
-ALL = [field.name for topic in TOPICS.values() for field in topic.fields_in("full")[1:]]
+ALL = [field.name for topic in TOPICS.values() for field in topic.fields_in("full")]
 
 
 def evaluated(tiny: Scenario, results: Path, profile: str, **changes: object) -> Scenario:

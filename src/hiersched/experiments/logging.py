@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.control import GainSchedule
-from hiersched.core.model_fields import fields_to_text
+from hiersched.core.fields import fields_to_text
+from hiersched.experiments.events import slot_events
 from hiersched.log import LogDims, LogWriter
 from hiersched.log.schema import MODEL_FIELDS
 from hiersched.models.model import model_fields, num_model_values
-from hiersched.runs.events import slot_events
 from hiersched.scenario import Scenario, scenario_sha256, scenario_to_yaml
 
 if TYPE_CHECKING:
@@ -48,16 +48,12 @@ def open_log(
 
     Parameters
     ----------
-    path
-        The file to be.
     scenario
         The scenario that is run (that of a sweep: with the swept value in place).
     schedule
         Gain schedule in force.
     label
         Goes into the metadata.
-    profile
-        ``full``, ``compact`` or ``decisions``.
     metadata, attachments
         Further ones, such as the weights of a policy.
     """
@@ -138,9 +134,9 @@ def log_block(
     first_slot: int = 0,
 ) -> None:
     """Write consecutive slots of one world and their events; `fields` have a leading axis (T,)."""
-    writer.write_block(first_slot, logged_fields(writer.profile, scenario, fields))
+    writer.write_block(first_slot, logged_fields(writer.fields, scenario, fields))
     for event in slot_events(scenario, schedule, fields, first_slot):
-        writer.event(event.slot, event.level, event.name, event.message)
+        writer.event(*event)
 
 
 def write_log(
@@ -166,34 +162,22 @@ def write_log(
 
 
 def logged_fields(
-    profile: str, scenario: Scenario, fields: Mapping[str, NDArray[Any]]
+    wanted: Collection[str], scenario: Scenario, fields: Mapping[str, NDArray[Any]]
 ) -> Mapping[str, NDArray[Any]]:
-    """Add what a profile has of slots and their record does not."""
-    if profile == "decisions":
-        return {**fields, **slice_fields(fields, scenario.users.num_urllc)}
-    return fields
+    """Add to the fields of a record those wanted that it does not have: sums of slices."""
+    if fields.keys() >= set(wanted):
+        return fields
+    return {**fields, **slice_fields(fields, scenario.users.num_urllc)}
 
 
-def slice_fields(
-    fields: Mapping[str, NDArray[Any]], num_urllc: int
-) -> dict[str, NDArray[np.float64] | NDArray[np.uint32]]:
-    """Sum users up to slices: the topic ``/slices``.
+def slice_fields(fields: Mapping[str, NDArray[Any]], num_urllc: int) -> dict[str, NDArray[Any]]:
+    """Sum users up to slices: what logs of decisions have in place of the users' numbers.
 
-    Parameters
-    ----------
-    fields
-        ``backlog_packets``, ``due_packets`` and ``late_packets`` of users, shape (..., U), URLLC
-        users first.
-    num_urllc
-        Number of URLLC users.
-
-    Returns
-    -------
-    dict of ndarray
-        Name -> value of each slot, shape (...): mean backlogs [packets], 0 where a slice has no
-        user, and numbers of packets.
+    `fields` has ``backlog_packets``, ``due_packets`` and ``late_packets`` of users, shape (..., U),
+    URLLC users first. Returns name -> value of each slot, shape (...): mean backlogs [packets], 0
+    where a slice has no user, and numbers of packets.
     """
-    slices: dict[str, NDArray[np.float64] | NDArray[np.uint32]] = {}
+    slices: dict[str, NDArray[Any]] = {}
     for name, users in (("urllc", slice(0, num_urllc)), ("embb", slice(num_urllc, None))):
         backlog = fields["backlog_packets"][..., users]
         # User by user: the order of NumPy's own sum, and so its bits, depends on memory layout.
