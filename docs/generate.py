@@ -409,7 +409,7 @@ WHERE = {
     "likewise: values that do not fit each other": (
         "hiersched.scenario.consistency:inconsistencies",
     ),
-    "a field of the log": ("hiersched.log.schema:TOPICS", "hiersched.simulator.record:SlotFields"),
+    "a field of the log": ("hiersched.core.fields:FIELDS",),
     "what runs in a study": ("hiersched.experiments.points:experiments",),
     "where a study's files lie": ("hiersched.experiments.files",),
     "whether a job runs again": (

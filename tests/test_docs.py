@@ -419,11 +419,11 @@ def test_a_table_a_figure_and_a_claim_of_a_plugin(shown: tuple[str, str]) -> Non
     from hiersched.experiments.gains import design_gains
     from hiersched.experiments.run import run_experiment
     from hiersched.experiments.worlds import untrained_policies
+    from hiersched.study.built_in import shown as shown_of
     from hiersched.study.claims.report import join_claims
     from hiersched.study.measure import measure
     from hiersched.study.metrics import measured_row
     from hiersched.study.registry import CLAIMS, FIGURES, TABLES
-    from hiersched.study.registry import shown as shown_of
     from hiersched.study.show import show
 
     scenario, results = load_scenario("mine.yaml"), Path("results/mine")
