@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import ClassVar, SupportsIndex
+from typing import ClassVar, Literal, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
@@ -20,6 +20,14 @@ from hiersched.control.lifted import simulate_random_delays, spectral_radius_by_
 
 DEFAULT_DECAY_RATE = 0.02
 """Decay of V per sample that C1 certifies where nothing else is asked."""
+
+
+Method = Literal["krasovskii", "razumikhin", "predictor", "latency_compensated", "h2"]
+"""C3, C1 (certified by design); state prediction, K (A - B K)^T, H2-optimal (tried afterwards)."""
+
+Status = Literal["nominal", "adjusted", "uncertified", "infeasible"]
+"""The nominal gain, certified; another one, certified; the method's, which no certificate covers;
+the nominal gain for want of a better one, not certified."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

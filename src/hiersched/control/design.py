@@ -12,10 +12,16 @@ from typing import SupportsIndex, get_args
 
 import numpy as np
 
-from hiersched.control.certificate import DEFAULT_DECAY_RATE, Certificate, Witness, certify
+from hiersched.control.certificate import (
+    DEFAULT_DECAY_RATE,
+    Certificate,
+    Method,
+    Status,
+    Witness,
+    certify,
+)
 from hiersched.control.checks import FloatArray, as_decay_rate, as_samples
 from hiersched.control.delayed_plant import DelayedPlant, require_network
-from hiersched.control.gain_schedule import Method, Status
 from hiersched.control.h2 import h2_gain
 from hiersched.control.krasovskii import KrasovskiiSynthesis, analyse_krasovskii
 from hiersched.control.lqr import latency_compensated
