@@ -19,7 +19,6 @@ from hiersched.policies.exact import slot_terms
 from hiersched.scenario import Scenario
 from hiersched.simulator import Simulator
 
-
 Run = Callable[..., None]
 
 

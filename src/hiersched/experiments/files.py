@@ -8,6 +8,7 @@ from hiersched.scenario import Scenario
 SCENARIO = "scenario.yaml"
 CHECKPOINTS = "checkpoints"
 STABILITY = "gains/stability.json"
+RUNS = "runs"
 BOUND = "bound/slots.csv"
 CLAIMS = ("claims.json", "claims.md")
 
@@ -45,7 +46,7 @@ def learner_logs(scenario: Scenario, learner: str) -> list[str]:
 
 def runs_folder(experiment: Experiment, point: Point, policy: str) -> str:
     """Folder of the runs of a policy at a point."""
-    return "/".join(filter(None, ("runs", experiment.name, point.value, policy)))
+    return "/".join(filter(None, (RUNS, experiment.name, point.value, policy)))
 
 
 def run_log(experiment: Experiment, point: Point, policy: str, seed: int) -> str:

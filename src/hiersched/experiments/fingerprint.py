@@ -42,9 +42,8 @@ def code_fingerprint(script: Path, package_folder: Path = PACKAGE_FOLDER, *, onl
     files = (("", script), *modules.items())
     imported = {name for module, path in files for name in _imports(path, module)}
     for module, path in modules.items():
-        used = {name for parent, _, name in (n.rpartition(".") for n in imported) if parent == module}
-        if module in imported:  # as a whole: any of its names may be used
-            used.add(ALL)
+        own = f"{module}."
+        used = {ALL} if module in imported else {n[len(own) :] for n in imported if n.startswith(own)}
         digest.update(f"\0{module}\0{_statements(path, frozenset(used))}".encode())
     for path in _data_files(modules):
         digest.update(f"\0{path.relative_to(package_folder)}\0".encode() + path.read_bytes())
