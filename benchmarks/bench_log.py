@@ -25,6 +25,8 @@ from common import Figure, cpu_seconds, main, paper, some_policy
 
 # isort: split
 import numpy as np
+from hiersched.runs import evaluate as stage
+from hiersched.runs import paths
 from hiersched.runs.gains import design_gains
 from hiersched.runs.learned import learned_policies
 from hiersched.runs.policies import PolicySource, untrained_policies
@@ -35,8 +37,6 @@ from mcap_protobuf.decoder import DecoderFactory
 from hiersched.core.randomness import world_keys
 from hiersched.log import TOPICS, LogDims, LogReader, LogWriter
 from hiersched.log.schema import descriptors, message_class, topics_in
-from hiersched.runs import evaluate as stage
-from hiersched.runs import paths
 from hiersched.scenario import Scenario
 from hiersched.simulator import Simulator
 from hiersched.simulator.loop_gains import LoopGains, plant_of

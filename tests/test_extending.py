@@ -17,6 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import yaml
+from hiersched.runs import paths
 from hiersched.runs.evaluate import evaluate
 from hiersched.runs.gains import design_gains
 from hiersched.runs.policies import untrained_policies
@@ -27,7 +28,6 @@ from hiersched.cli import main
 from hiersched.core import registry
 from hiersched.core.compiled import CACHE_FOLDER
 from hiersched.core.randomness import world_keys
-from hiersched.runs import paths
 from hiersched.scenario import Scenario, load_scenario
 from hiersched.simulator import Simulator
 from hiersched.simulator.check import ModelCheckError, check_models

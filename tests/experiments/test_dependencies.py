@@ -10,38 +10,35 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hiersched.runs.bound import compute_bound
-from hiersched.runs.evaluate import evaluate
-from hiersched.runs.gain_points import GAIN_SWEEPS
-from hiersched.runs.gain_study import gain_study, gain_sweep
-from hiersched.runs.generalise import generalise
-from hiersched.runs.learned import learned_policies
-from hiersched.runs.policies import untrained_policies
-from hiersched.runs.sweep import sweep
-from hiersched.runs.variants import replaced
 
+from hiersched.experiments import dependencies, files, stability
+from hiersched.experiments import gains as gains_stage
+from hiersched.experiments.bound import compute_bound
+from hiersched.experiments.learned import learned_policies
+from hiersched.experiments.points import experiments, groups
 from hiersched.models.model import SECTIONS
-from hiersched.runs import dependencies, paths, stability
-from hiersched.runs import gains as gains_stage
-from hiersched.scenario import Scenario
+from hiersched.scenario import Scenario, with_values
 from hiersched.scenario.schema import model_at
-from hiersched.study.metrics import measured_row
+from hiersched.study.registry import FIGURES
+
+Run = Callable[..., None]
+Load = Callable[[str], Scenario]
 
 # What these read is in the log as a copy of the scenario, or decides on file names alone.
 NOT_A_USE = {
+    "__eq__",
+    "__hash__",
     "scenario_to_yaml",
     "scenario_to_dict",
     "scenario_sha256",
-    "swept_scenario",
-    "cell_scenario",
-    "group_policies",
+    "experiments",
+    "groups",
+    "is_crossed",
     "plugin_hashes",
     "learner_scenario",
-    "study_scenario",
-    "gain_designs",
-    "gain_points",
-    "robots_alone",
+    "designs",
     "design_of",
+    "baseline_method",
 }
 
 
@@ -76,92 +73,103 @@ def reads(tiny: Scenario, monkeypatch: pytest.MonkeyPatch) -> set[str]:
 
 
 def undeclared(reads: set[str], values: dict[str, Any]) -> set[str]:
-    return reads - set(values)
+    """Keys that were read, and stand neither with the job nor with its points."""
+    points = values.get("points", {}).values()
+    return reads - set(values) - {key for point in points for key in point}
 
 
-def test_evaluation_reads_what_it_declares(tiny: Scenario, results: Path, reads: set[str]) -> None:
-    evaluate(tiny, results, "classical", untrained_policies)
-    values = dependencies.evaluate_values(tiny, "classical")
-    assert undeclared(set(reads), values) == {"evaluate.policies"}  # "policies": those of the group
+def run_values(scenario: Scenario, name: str, group: str = "classical") -> dict[str, Any]:
+    return dependencies.run_values(scenario, experiments(scenario)[name], group)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("evaluate", "generalise", "rayleigh_scale", "sampling_s", "reference", "load"),
+        *("load_ratio", "service_coefficient_mbps"),
+    ],
+)
+def test_an_experiment_reads_what_it_declares(
+    tiny: Scenario, run: Run, reads: set[str], name: str
+) -> None:
+    run(tiny, name)
+    assert {"radio.bandwidth_hz", "radio.fading.scale", "robot.window_s"} <= reads
+    assert undeclared(set(reads), run_values(tiny, name)) == set()
+
+
+def test_an_axis_of_any_key_reads_what_it_declares(
+    tiny_with: Load, run: Run, reads: set[str]
+) -> None:
+    scenario = tiny_with(
+        "sweeps: {axes: {mine: {vary: {traffic.packet_bits: [1.0e+4, 2.0e+4],"
+        " radio.path_loss: [{model: none}, {model: macro, shadowing_db: 0.0}]}}}}"
+    )
+    reads.clear()
+    run(scenario, "mine")
+    values = run_values(scenario, "mine")
+    assert undeclared(set(reads), values) == set()
+    assert {"traffic.packet_bits", "radio.path_loss.model"}.isdisjoint(values)
+    assert set(values["points"]) == {
+        *("10000_none", "10000_macro-shadowing_db-0"),
+        *("20000_none", "20000_macro-shadowing_db-0"),
+    }
 
 
 def test_a_learners_evaluation_reads_what_it_declares(
-    tiny: Scenario, results: Path, reads: set[str]
+    tiny: Scenario, results: Path, run: Run, reads: set[str]
 ) -> None:
     """Measures of runs that are not logged are taken in the same job."""
-    from hiersched.runs.train import train_and_log
+    from hiersched.experiments.train import train_and_log
 
     train_and_log(tiny, "ddpg", results, "code", show=False)
-    source = learned_policies([results / name for name in paths.policy_files(tiny, "ddpg")])
+    source = learned_policies([results / name for name in files.policy_files(tiny, "ddpg")])
     reads.clear()
-    evaluate(tiny, results, "ddpg", source, measured_row)
-    assert (results / paths.evaluation_crossed("ddpg")).is_file()
-    values = dependencies.evaluate_values(tiny, "ddpg")
-    assert undeclared(set(reads), values) == {"evaluate.policies"}
+    run(tiny, "evaluate", "ddpg", source)
+    assert (results / "runs/evaluate/ddpg/crossed.parquet").is_file()
+    assert undeclared(set(reads), run_values(tiny, "evaluate", "ddpg")) == set()
 
 
 def test_measures_depend_on_the_training_seeds_of_their_own_learner(tiny: Scenario) -> None:
     more = replace(tiny, learning=replace(tiny.learning, seeds=(1, 2, 3)))
-    for group, same in (("ddpg", False), ("classical", True)):
+    for group, same in (("ddpg", False), ("classical", True), ("gains", True)):
         values = [dependencies.measure_values(s, group) for s in (tiny, more)]
         assert (values[0] == values[1]) == same
 
 
-@pytest.mark.parametrize("axis", list(dependencies.SWEPT_KEYS))
-def test_a_sweep_reads_what_it_declares(
-    tiny: Scenario, results: Path, reads: set[str], axis: str
+def test_measures_depend_on_the_runs_of_their_own_group(tiny: Scenario) -> None:
+    """What the logs are is in them; which there are, and the values that measures take, are not."""
+    for key, value, groups_changed in (
+        ("evaluate.duration_s", 0.3, {"classical", "ddpg"}),
+        ("gain_study.sweep_windows", 3, {"gains"}),
+        ("evaluate.policies", ["ddpg", "pf", "max_rate"], {"classical"}),
+        ("learning.episodes", 8, set()),
+    ):
+        other = with_values(tiny, {key: value}, "")
+        changed = {
+            group
+            for group in ("classical", "ddpg", "gains")
+            if dependencies.measure_values(tiny, group) != dependencies.measure_values(other, group)
+        }
+        assert changed == groups_changed, key
+
+
+def test_the_bound_reads_what_it_declares(
+    tiny: Scenario, results: Path, run: Run, reads: set[str]
 ) -> None:
-    sweep(tiny, results, axis, "classical", untrained_policies)
-    values = dependencies.sweep_values(tiny, axis, "classical")
-    # The swept key is read from the variant: its values are those of the axis.
-    swept = {
-        "sampling_s": set(),
-        "load_ratio": set(),
-        "service_coefficient_mbps": {"traffic.service_coefficient_mbps"},
-    }.get(axis, {dependencies.SWEPT_KEYS[axis]})
-    # "policies" are those of the group; along the load, all evaluated ones.
-    listed = {"sweeps.policies"} | ({"evaluate.policies"} if axis == "load" else set())
-    # Along these axes the study's own learner is named by its algorithm.
-    if axis in ("load_ratio", "service_coefficient_mbps"):
-        listed |= {"learning.algorithm"}
-    assert undeclared(set(reads), values) == {*listed, *swept}
-
-
-def test_cells_of_other_sizes_read_what_they_declare(
-    tiny: Scenario, results: Path, reads: set[str]
-) -> None:
-    study = replace(tiny.generalise, cells=((1, 2, 4),), duration_s=0.05, seeds=(1,))
-    generalise(replace(tiny, generalise=study), results, "classical", untrained_policies)
-    values = dependencies.cell_values(tiny, "classical")
-    assert undeclared(set(reads), values) == {"generalise.policies"}
-
-
-def test_the_bound_reads_what_it_declares(tiny: Scenario, results: Path, reads: set[str]) -> None:
     few = replace(tiny, evaluate=replace(tiny.evaluate, policies=("pf",), duration_s=0.05))
-    evaluate(few, results, "classical", untrained_policies)
+    run(few, "evaluate")
     reads.clear()
-    compute_bound(few, results, results / paths.BOUND)
+    compute_bound(few, results, results / files.BOUND)
     assert undeclared(set(reads), dependencies.bound_values(tiny)) == set()
 
 
+@pytest.mark.parametrize("name", ["gain_study", "gain_grid", "gain_sampling_s", "gain_noise"])
 def test_the_gain_study_reads_what_it_declares(
-    tiny: Scenario, results: Path, reads: set[str]
+    tiny: Scenario, run: Run, reads: set[str], name: str
 ) -> None:
-    gain_study(tiny, results)
-    undeclared_reads = undeclared(set(reads), dependencies.gain_study_values(tiny))
-    # The slot loop's constants are built, but the robots run alone.
-    unused = ("users.", "traffic.", "radio.", "objective.", "schedulers.", "learning.reward_scale")
-    assert {key for key in undeclared_reads if not key.startswith(unused)} == set()
-
-
-@pytest.mark.parametrize("axis", list(GAIN_SWEEPS))
-def test_a_gain_sweep_reads_what_it_declares(
-    tiny: Scenario, results: Path, reads: set[str], axis: str
-) -> None:
-    gain_sweep(tiny, results, axis)
-    undeclared_reads = undeclared(set(reads), dependencies.gain_sweep_values(tiny, axis))
-    unused = ("users.", "traffic.", "radio.", "objective.", "schedulers.", "learning.reward_scale")
-    assert {key for key in undeclared_reads if not key.startswith(unused)} == set()
+    run(tiny, name, "gains")
+    assert {"robot.speed_mps", "control.hold_samples"} <= reads
+    assert undeclared(set(reads), run_values(tiny, name, "gains")) == set()
 
 
 def test_stability_reads_what_it_declares(
@@ -183,67 +191,197 @@ def test_gain_design_reads_what_it_declares(
 
 
 def test_training_reads_what_it_declares(tiny: Scenario, results: Path, reads: set[str]) -> None:
-    from hiersched.runs.train import train_and_log
+    from hiersched.experiments.train import train_and_log
 
     train_and_log(tiny, "ddpg", results, "code", show=False)
     assert undeclared(set(reads), dependencies.train_values(tiny, "ddpg")) == set()
 
 
-def changed(scenario: Scenario, key: str, value: Any) -> Scenario:
-    return replaced(scenario, key, value)
+def all_jobs(scenario: Scenario) -> dict[str, Any]:
+    """What each job of a study depends on; of experiments by name, of learners' with ``_ddpg``."""
+    found = {
+        "gains": dependencies.gains_values(scenario, "schedule"),
+        "train": dependencies.train_values(scenario, "ddpg"),
+        "stability": dependencies.stability_values(scenario),
+        "bound": dependencies.bound_values(scenario),
+    }
+    for name, experiment in experiments(scenario).items():
+        for group in groups(scenario, experiment):
+            job = name if group in ("classical", "gains") else f"{name}_{group}"
+            found[job] = dependencies.run_values(scenario, experiment, group)
+    return found
 
 
-JOBS: dict[str, Callable[[Scenario], Any]] = {
-    "gains": lambda s: dependencies.gains_values(s, "schedule"),
-    "gains_0.04": lambda s: dependencies.gains_values(s, "schedule_0.04"),
-    "train": lambda s: dependencies.train_values(s, "ddpg"),
-    "evaluate": lambda s: dependencies.evaluate_values(s, "classical"),
-    "evaluate_ddpg": lambda s: dependencies.evaluate_values(s, "ddpg"),
-    "gain_study": dependencies.gain_study_values,
-    "gain_sweep_grid": lambda s: dependencies.gain_sweep_values(s, "grid"),
-    "gain_sweep_noise": lambda s: dependencies.gain_sweep_values(s, "noise"),
-    "stability": dependencies.stability_values,
-    **{
-        f"sweep_{axis}": (lambda s, axis=axis: dependencies.sweep_values(s, axis, "classical"))
-        for axis in dependencies.SWEPT_KEYS
-    },
-}
-SWEEPS = {f"sweep_{axis}" for axis in dependencies.SWEPT_KEYS}
-GAIN_RUNS = {"gain_study", "gain_sweep_grid", "gain_sweep_noise"}
-SLOT_LOOP = {"train", "evaluate", "evaluate_ddpg", *SWEEPS}
+AXES = (
+    *("rayleigh_scale", "sampling_s", "reference"),
+    *("load", "load_ratio", "service_coefficient_mbps"),
+)
+
+
+def of_policies(*names: str) -> set[str]:
+    """Jobs of both groups of policies."""
+    return {f"{name}{group}" for name in names for group in ("", "_ddpg")}
+
+
+EVALUATE, CELLS = of_policies("evaluate"), of_policies("generalise")
+SWEEPS = of_policies(*AXES)
+GAIN_RUNS = {"gain_study", "gain_grid", "gain_sampling_s", "gain_noise"}
+SLOT_LOOP = {"train", "bound", *EVALUATE, *CELLS, *SWEEPS}
 
 
 @pytest.mark.parametrize(
     ("key", "value", "jobs"),
     [
-        ("evaluate.duration_s", 0.3, {"evaluate", "evaluate_ddpg"}),
-        ("evaluate.policies", ("ddpg", "pf", "max_rate"), {"evaluate", "sweep_load"}),
-        ("evaluate.policies", ("pf", "ddpg", "edf"), set()),
+        ("evaluate.duration_s", 0.3, EVALUATE | {"bound"}),
+        ("evaluate.policies", ["ddpg", "pf", "max_rate"], {"evaluate", "load", "bound"}),
+        ("evaluate.policies", ["pf", "ddpg", "edf"], {"bound"}),
+        ("generalise.duration_s", 0.1, CELLS),
+        ("generalise.cells", [[1, 3, 6]], CELLS),
         ("learning.episodes", 8, {"train"}),
-        ("learning.reward_scale", 10.0, SLOT_LOOP),
+        ("learning.reward_scale", 10.0, SLOT_LOOP | GAIN_RUNS),
         ("objective.multiplier_step", 1.0, {"train"}),
-        ("objective.penalty_weight", 1.0, SLOT_LOOP),
-        ("sweeps.load", (0.9, 1.0), {"sweep_load"}),
+        ("objective.penalty_weight", 1.0, SLOT_LOOP | GAIN_RUNS),
+        ("bound.slots_per_log", 9, {"bound"}),
         ("sweeps.duration_s", 0.2, SWEEPS),
-        ("traffic.load", 0.8, SLOT_LOOP - {"sweep_load"}),
-        ("radio.fading.scale", 2.0, (SLOT_LOOP - {"sweep_rayleigh_scale"})),
+        ("traffic.reliability_levels", [0.9], SLOT_LOOP | GAIN_RUNS),
         ("radio.slot_s", 0.005, SLOT_LOOP | GAIN_RUNS),
-        ("gain_study.num_robots", 5, {"gain_study"}),
-        ("gain_study.sweep_robots", 5, GAIN_RUNS - {"gain_study"}),
-        ("gain_study.noise_position_m", (0.1,), {"gain_sweep_noise"}),
-        ("gain_study.weight", (700.0,), {"gain_sweep_grid", "stability"}),
-        ("gain_study.methods", ("krasovskii",), {"gain_study"}),
-        ("log.train_profile", "full", {"train"}),
-        ("robot.speed_mps", 0.5, SLOT_LOOP | GAIN_RUNS | {"stability", "gains", "gains_0.04"}),
+        # A swept key's own value is nothing to its sweep.
+        ("traffic.load", 0.8, (SLOT_LOOP | GAIN_RUNS) - of_policies("load")),
+        ("radio.fading.scale", 2.0, (SLOT_LOOP | GAIN_RUNS) - of_policies("rayleigh_scale")),
+        ("robot.reference", "zigzag", (SLOT_LOOP | GAIN_RUNS) - of_policies("reference")),
+        ("traffic.load_ratio", 1.1, (SLOT_LOOP | GAIN_RUNS) - of_policies("load_ratio")),
+        (
+            "traffic.service_coefficient_mbps",
+            5.0,
+            (SLOT_LOOP | GAIN_RUNS) - of_policies("service_coefficient_mbps"),
+        ),
+        (
+            "control.sampling_s",
+            0.01,
+            (SLOT_LOOP | GAIN_RUNS | {"stability", "gains"})
+            - of_policies("sampling_s", "service_coefficient_mbps")
+            - {"gain_sampling_s"},
+        ),
+        ("robot.speed_mps", 0.5, SLOT_LOOP | GAIN_RUNS | {"stability", "gains"}),
         ("control.gain", "nominal", SLOT_LOOP | GAIN_RUNS),
-        ("traffic.reliability_levels", (0.9,), SLOT_LOOP),
+        ("gain_study.num_robots", 5, {"gain_study", "stability"}),
+        ("gain_study.sweep_robots", 5, GAIN_RUNS - {"gain_study"} | {"stability"}),
+        ("gain_study.methods", ["krasovskii"], {"gain_study", "stability"}),
+        ("log.train_profile", "full", {"train"}),
+        ("log.sweep_profile", "full", SWEEPS | CELLS),
+        ("log.evaluate_profile", "decisions", EVALUATE),
     ],
 )
 def test_a_value_changes_the_jobs_that_read_it(
     tiny: Scenario, key: str, value: Any, jobs: set[str]
 ) -> None:
-    other = changed(tiny, key, value)
-    assert {name for name, values in JOBS.items() if values(tiny) != values(other)} == jobs
+    before, after = all_jobs(tiny), all_jobs(with_values(tiny, {key: value}, ""))
+    assert before.keys() == after.keys()
+    assert {name for name in before if before[name] != after[name]} == jobs
+
+
+@pytest.mark.parametrize("axis", AXES)
+def test_other_values_of_an_axis_change_that_axis_alone(tiny_with: Load, axis: str) -> None:
+    text = {
+        "rayleigh_scale": "radio.fading.scale: [0.5, 3.0]",
+        "sampling_s": "control.sampling_s: [0.02]",
+        "reference": "robot.reference: [straight]",
+        "load": "traffic.load: [1.1]",
+        "load_ratio": "traffic.load_ratio: [0.7]",
+        "service_coefficient_mbps": "traffic.service_coefficient_mbps: [3.0]",
+    }[axis]
+    before = all_jobs(tiny_with(""))
+    after = all_jobs(tiny_with(f"sweeps: {{axes: {{{axis}: {{vary: {{{text}}}}}}}}}"))
+    assert {name for name in before if before[name] != after[name]} == of_policies(axis)
+
+
+WHOLE = """
+sweeps: {axes: {mine: {vary: {radio.path_loss: [
+  {model: macro, cell_radius_m: 300.0}, {model: macro, cell_radius_m: 600.0}]}}}}
+"""
+
+
+def test_a_model_swept_as_a_whole_hides_the_scenarios_own(tiny_with: Load) -> None:
+    """Whichever it is, and whatever its keys are."""
+    own = ("{model: none}", "{model: macro, cell_radius_m: 300.0}", "{model: macro}")
+    found = [run_values(tiny_with(f"{WHOLE}radio: {{path_loss: {text}}}"), "mine") for text in own]
+    assert found[0] == found[1] == found[2]
+    values = {value: point["radio.path_loss.cell_radius_m"] for value, point in points(found[0])}
+    assert values == {"macro-cell_radius_m-300": 300.0, "macro-cell_radius_m-600": 600.0}
+    other = tiny_with(WHOLE.replace("cell_radius_m: 600.0", "shadowing_db: 6.0"))
+    assert run_values(other, "mine") != found[0]
+
+
+def points(values: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+    return list(values["points"].items())
+
+
+def test_keys_of_policies_count_for_the_jobs_of_these_policies(
+    tiny_with: Load, tmp_path: Path, write_plugin: Callable[[Path, str], Path]
+) -> None:
+    text = "def risk(view, level):\n    return view.backlog_packets * level\n"
+    write_plugin(tmp_path / "risk_rules.py", text)
+
+    def study(own: float, swept: str) -> dict[str, Any]:
+        scenario = tiny_with(
+            "plugins: [risk_rules.py]\nevaluate: {policies: [mine, pf]}\n"
+            f'policies: {{mine: {{import: "risk_rules:risk", parameters: {{level: {own}}}}}}}\n'
+            "sweeps: {policies: [pf], axes: {level: {policies: [mine], vary: "
+            f"{{policies.mine.parameters.level: [{swept}]}}}}}}}}"
+        )
+        return all_jobs(scenario)
+
+    first = study(0.9, "0.5, 0.99")
+    for own, swept, changed in (
+        (0.9, "0.5, 0.99", set()),
+        (0.8, "0.5, 0.99", {"evaluate", "load"}),
+        (0.5, "0.5, 0.99", {"evaluate", "load"}),
+        (0.9, "0.5", {"level"}),
+        (0.9, "0.5, 0.9900000000001", {"level"}),  # called the same
+    ):
+        other = study(own, swept)
+        runs = {n for n in first if first[n] != other[n] and n not in ("bound", "train")}
+        assert runs == changed, (own, swept)
+    assert study(0.5, "0.5")["level"] == study(0.8, "0.5")["level"]
+
+
+FIGURE = """
+from hiersched.study.registry import figure
+
+@figure("mine", title="Mine.", reads=("runs",))
+def mine(study):
+    return {}
+"""
+RULE = """
+def flat(view):
+    return view.backlog_packets * 0.0 + 1.0
+"""
+
+
+def test_a_plugin_that_only_adds_figures_is_nothing_to_the_runs(
+    tiny_with: Load, tmp_path: Path, write_plugin: Callable[[Path, str], Path]
+) -> None:
+    """One that adds a rule is, whatever else it adds; of a figure its own source counts."""
+    plain = all_jobs(tiny_with(""))
+    file = write_plugin(tmp_path / "only_figures.py", FIGURE.format(1))
+    shown = tiny_with("plugins: [only_figures.py]")
+    assert all_jobs(shown) == plain
+    sources = dependencies.outside_sources(FIGURES["mine"])
+    file.write_text(FIGURE.format(2), encoding="utf-8")
+    edited = tiny_with("plugins: [only_figures.py]")
+    assert all_jobs(edited) == plain
+    assert dependencies.outside_sources(FIGURES["mine"]) != sources
+
+    both = tmp_path / "figures_and_rules.py"
+    write_plugin(both, FIGURE.format(1).replace("mine", "other") + RULE)
+    given = (
+        "plugins: [figures_and_rules.py]\n"
+        'policies: {flat: {import: "figures_and_rules:flat"}}\nevaluate: {policies: [flat, pf]}'
+    )
+    before = all_jobs(tiny_with(given))
+    both.write_text(both.read_text() + "\n\nNEW = 1\n", encoding="utf-8")
+    after = all_jobs(tiny_with(given))
+    assert {name for name in before if before[name] != after[name]} >= {"evaluate", "load"}
 
 
 def test_the_parameter_is_canonical(tmp_path: Path) -> None:
@@ -253,4 +391,3 @@ def test_the_parameter_is_canonical(tmp_path: Path) -> None:
     assert one == dependencies.stage_spec("train", {"b": 2, "a": 1}, script)
     assert one != dependencies.stage_spec("train", {"a": 2, "b": 1}, script)
     assert json.loads(one)["values"] == {"a": 1, "b": 2}
-    assert paths.SCENARIO == "scenario.yaml"

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from hiersched.control import Certificate, build_schedule
-from hiersched.experiments.gains import load_gains
 from hiersched.experiments.events import slot_events, stretches
+from hiersched.experiments.gains import load_gains
 from hiersched.scenario import Scenario
 from hiersched.simulator.loop_gains import plant_of
 

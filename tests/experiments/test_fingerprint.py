@@ -12,7 +12,10 @@ from hiersched.experiments.fingerprint import code_fingerprint, reachable_module
 
 FILES = {
     "hiersched/__init__.py": "",
-    "hiersched/near.py": "from hiersched.deep import far\nfrom hiersched.types import TYPE_CHECKING\n\ndef f():\n    return far.x\n",
+    "hiersched/near.py": (
+        "from hiersched.deep import far\nfrom hiersched.types import TYPE_CHECKING\n\n"
+        "def f():\n    return far.x\n"
+    ),
     "hiersched/deep/__init__.py": '"""Package."""\n',
     "hiersched/deep/far.py": "x = 1\n",
     "hiersched/deep/table.csv": "1,2\n",

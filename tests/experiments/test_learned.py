@@ -2,33 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from hiersched.runs.crossed import slots_of
-from hiersched.runs.evaluate import evaluate
-from hiersched.runs.gains import load_gains
-from hiersched.runs.generalise import generalise
-from hiersched.runs.learned import learned_policies
-from hiersched.runs.policies import run_worlds, seed_worlds
-from hiersched.runs.sweep import sweep
-from hiersched.runs.train import train_and_log
 
 from hiersched.core.randomness import world_keys
+from hiersched.experiments import files
+from hiersched.experiments import train as stage
+from hiersched.experiments.gains import load_gains
+from hiersched.experiments.learned import learned_policies
+from hiersched.experiments.logging import RunLabel
+from hiersched.experiments.points import experiments
+from hiersched.experiments.run import run_experiment, slots_of
+from hiersched.experiments.train import train_and_log
+from hiersched.experiments.worlds import run_worlds, seed_worlds
 from hiersched.learning.policy import TrainedPolicy
 from hiersched.log import LogReader
-from hiersched.runs import paths
-from hiersched.runs import train as stage
-from hiersched.experiments.logging import RunLabel
 from hiersched.scenario import Scenario
 from hiersched.scenario.schema import checkpoint_rounds
 from hiersched.simulator import Simulator
 from hiersched.simulator.loop_gains import LoopGains
 from hiersched.study.metrics import measured_row, metrics_row, run_metrics
 
+Run = Callable[..., None]
 EPISODES, SLOTS = 6, 10
 
 
@@ -47,8 +47,8 @@ def trained(tiny: Scenario, designed: Path, tmp_path_factory: pytest.TempPathFac
 
 
 def test_every_slot_of_training_is_logged(tiny: Scenario, trained: Path) -> None:
-    for name, seed in zip(paths.training_logs(tiny, "ddpg"), tiny.learning.seeds, strict=True):
-        with LogReader(trained / name) as log:
+    for seed in tiny.learning.seeds:
+        with LogReader(trained / files.training_log("ddpg", seed)) as log:
             assert log.num_slots == EPISODES * SLOTS
             queue = log.read("/queue")
             assert log.metadata["seed"] == str(seed)
@@ -61,14 +61,14 @@ def test_every_slot_of_training_is_logged(tiny: Scenario, trained: Path) -> None
             0.0, queue["backlog_packets"] + queue["arrivals_packets"] - queue["service_packets"]
         ).reshape(backlog.shape)
         assert np.array_equal(after[:, :-1], backlog[:, 1:])
-        assert weights == (trained / paths.policy_file("ddpg", seed)).read_bytes()
-    assert (trained / paths.progress_file("ddpg")).stat().st_size > 0
-    assert not (trained / paths.CHECKPOINTS / "ddpg").exists()
+        assert weights == (trained / f"train/ddpg/policy_seed{seed}.pt").read_bytes()
+    assert (trained / files.progress_file("ddpg")).stat().st_size > 0
+    assert not (trained / files.CHECKPOINTS / "ddpg").exists()
 
 
 def test_checkpoints_run_in_the_same_worlds_without_noise(tiny: Scenario, trained: Path) -> None:
     """The start is PF for every seed; training moves on from it, in the very same worlds."""
-    logs = [fields_of(trained / name) for name in paths.checkpoint_logs(tiny, "ddpg")]
+    logs = [fields_of(trained / files.checkpoint_log("ddpg", seed)) for seed in (1, 2)]
     worlds = tiny.learning.checkpoint_worlds
     shape = (len(checkpoint_rounds(tiny.learning)), worlds, SLOTS, -1)
     assert shape[0] == 4  # the start and three rounds
@@ -102,7 +102,7 @@ def test_a_frozen_learner_stays_as_it_starts(tiny: Scenario, results: Path) -> N
         )
         record = loop.run(start)
         np.testing.assert_array_equal(fixed["rate_mbps"][:SLOTS], record.rate_mbps[0])
-        policy = TrainedPolicy.load(results / paths.policy_file("frozen", 1))
+        policy = TrainedPolicy.load(results / "train/frozen/policy_seed1.pt")
         loop.reset(world_keys("checkpoint", 0, 1))
         np.testing.assert_array_equal(loop.run(policy).weight, 1.0)
 
@@ -130,9 +130,9 @@ def test_an_interrupted_training_ends_in_the_same_bits(
     assert not list((results / "train/ddpg").glob("*.mcap"))  # nothing looks complete
     monkeypatch.setattr(stage.RoundLogs, "add", add)
     train_and_log(tiny, "ddpg", results, "code", show=False)
-    for name in (*paths.training_logs(tiny, "ddpg"), *paths.checkpoint_logs(tiny, "ddpg")):
+    for name in files.learner_logs(tiny, "ddpg"):
         assert (results / name).read_bytes() == (trained / name).read_bytes()
-    for name in paths.policy_files(tiny, "ddpg"):
+    for name in files.policy_files(tiny, "ddpg"):
         a, b = TrainedPolicy.load(results / name), TrainedPolicy.load(trained / name)
         assert np.array_equal(a.parameters, b.parameters)
 
@@ -140,7 +140,7 @@ def test_an_interrupted_training_ends_in_the_same_bits(
 def test_a_checkpoint_of_other_code_is_not_used(
     tiny: Scenario, results: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder = results / paths.CHECKPOINTS / "ddpg/0_other"
+    folder = results / files.CHECKPOINTS / "ddpg/0_other"
     folder.mkdir(parents=True)
     (folder / "training.pt").write_bytes(b"no checkpoint")
     seen = []
@@ -154,26 +154,26 @@ def test_a_checkpoint_of_other_code_is_not_used(
 @pytest.fixture
 def policies(tiny: Scenario, trained: Path, tmp_path: Path) -> list[Path]:
     """Policies that differ: so short a training leaves the actors where they began."""
-    files = []
-    for place, name in enumerate(paths.policy_files(tiny, "ddpg")):
+    written = []
+    for place, name in enumerate(files.policy_files(tiny, "ddpg")):
         policy = TrainedPolicy.load(trained / name)
         rng = np.random.default_rng(place)
         parameters = rng.normal(0.0, 0.5, policy.parameters.shape).astype(np.float32)
-        files.append(tmp_path / Path(name).name)
-        replace(policy, parameters=parameters).save(files[-1])
-    return files
+        written.append(tmp_path / Path(name).name)
+        replace(policy, parameters=parameters).save(written[-1])
+    return written
 
 
 def test_world_i_runs_the_policy_of_training_seed_i(
-    tiny: Scenario, policies: list[Path], results: Path
+    tiny: Scenario, policies: list[Path], results: Path, run: Run
 ) -> None:
-    evaluate(tiny, results, "ddpg", learned_policies(policies))
+    run(tiny, "evaluate", "ddpg", learned_policies(policies))
     _, gains = load_gains(results / "gains/schedule.json", tiny)
     for index, seed in enumerate(tiny.evaluate.seeds):
         file = policies[index % 2]
         simulator = Simulator(tiny, gains, seed_worlds("evaluate", [seed]), 20)
         expected = simulator.run(TrainedPolicy.load(file)).environment(0)
-        with LogReader(results / f"eval/ddpg/seed{seed}.mcap") as log:
+        with LogReader(results / f"runs/evaluate/ddpg/seed{seed}.mcap") as log:
             assert log.metadata["policy_seed"] == str(tiny.learning.seeds[index % 2])
             assert log.attachments[file.name] == file.read_bytes()
             logged = log.read("/allocation")
@@ -183,28 +183,33 @@ def test_world_i_runs_the_policy_of_training_seed_i(
 
 
 def test_every_policy_runs_in_every_world_and_one_a_world_is_logged(
-    tiny: Scenario, policies: list[Path], results: Path
+    tiny: Scenario, policies: list[Path], results: Path, run: Run, tmp_path: Path
 ) -> None:
-    """The logs are those without the crossing; the others are measured as their logs would be."""
-    source = learned_policies(policies)
-    evaluate(tiny, results, "ddpg", source)
-    alone = {name: (results / name).read_bytes() for name in paths.evaluation_logs(tiny, "ddpg")}
-    evaluate(tiny, results, "ddpg", source, measured_row)
-    for name, content in alone.items():
-        assert (results / name).read_bytes() == content
-    rows = pd.read_csv(results / paths.evaluation_crossed("ddpg")).set_index(
-        ["policy_seed", "seed"]
-    )
+    """The others are measured as their logs would be."""
+    run(tiny, "evaluate", "ddpg", learned_policies(policies))
+    rows = pd.read_parquet(results / "runs/evaluate/ddpg/crossed.parquet")
+    rows = rows.set_index(["policy_seed", "seed"])
     assert sorted(rows.index) == [(1, 12), (2, 11), (2, 13)]
+    (tmp_path / "alone/gains").parent.mkdir()
+    (tmp_path / "alone/gains").symlink_to(results / "gains")
     for index, file in enumerate(policies):
         for place, seed in enumerate(tiny.evaluate.seeds):
+            one = replace(
+                tiny,
+                evaluate=replace(tiny.evaluate, seeds=(seed,)),
+                learning=replace(tiny.learning, seeds=(index + 1,)),
+            )
+            source = learned_policies([file])
+            run_experiment(one, tmp_path / "alone", "evaluate", "ddpg", source, measured_row)
+            log = tmp_path / f"alone/runs/evaluate/ddpg/seed{seed}.mcap"
             if place % 2 == index:
+                own = fields_of(results / f"runs/evaluate/ddpg/seed{seed}.mcap")
+                for name, values in fields_of(log).items():
+                    np.testing.assert_array_equal(own[name], values, err_msg=name)
                 continue
-            one = replace(tiny, evaluate=replace(tiny.evaluate, seeds=(seed,)))
-            evaluate(one, results, "ddpg", learned_policies([file]))
-            log = results / paths.evaluation_log("ddpg", seed)
             expected = metrics_row(run_metrics(log, tiny), tiny)
             got = rows.loc[(index + 1, seed)]
+            assert len(expected.keys() & set(got.index)) > 20
             for name, value in expected.items():
                 if isinstance(value, float) and name in got:
                     assert got[name] == value or (np.isnan(got[name]) and np.isnan(value)), name
@@ -213,69 +218,71 @@ def test_every_policy_runs_in_every_world_and_one_a_world_is_logged(
 
 @pytest.mark.parametrize("profile", ["full", "compact", "decisions"])
 def test_measures_in_memory_are_those_of_the_log(
-    tiny: Scenario, policies: list[Path], results: Path, profile: str
+    tiny: Scenario, policies: list[Path], results: Path, run: Run, profile: str
 ) -> None:
     logging = replace(tiny.log, evaluate_profile=profile)
-    worlds = replace(tiny.evaluate, warmup_s=0.05)
-    scenario = replace(tiny, log=logging, evaluate=worlds)
-    evaluate(scenario, results, "ddpg", learned_policies(policies[:1]))
+    scenario = replace(tiny, log=logging, evaluate=replace(tiny.evaluate, warmup_s=0.05))
+    run(scenario, "evaluate", "ddpg", learned_policies(policies))
     _, gains = load_gains(results / "gains/schedule.json", scenario)
-    runnables = learned_policies(policies[:1])(scenario, "ddpg")
-    runs = run_worlds(scenario, gains, runnables, "evaluate", (11, 12, 13), 25, crossed=True)
-    for run in runs:
-        assert run.logged
-        label = RunLabel(stage="evaluate", policy="ddpg", seed=run.seed)
-        in_memory = measured_row(slots_of(scenario, label, run.after(5)), scenario)
-        path = results / paths.evaluation_log("ddpg", run.seed)
-        logged = metrics_row(run_metrics(path, scenario), scenario)
-        assert str(in_memory) == str(logged)  # NaN is NaN
+    runnables = learned_policies(policies)(scenario, "ddpg")
+    worlds = list(run_worlds(scenario, gains, runnables, "evaluate", (11, 12, 13), 25))
+    assert [(world.seed, world.logged) for world in worlds] == [
+        *((11, True), (12, False), (13, True)),
+        *((11, False), (12, True), (13, False)),
+    ]
+    label = RunLabel(stage="evaluate", policy="ddpg", seed=11)
+    first = replace(worlds[0], metadata={**worlds[0].metadata, "warmup_slots": "5"})
+    in_memory = measured_row(slots_of(scenario, label, first), scenario)
+    path = results / "runs/evaluate/ddpg/seed11.mcap"
+    logged = metrics_row(run_metrics(path, scenario), scenario)
+    assert str(in_memory) == str(logged)  # NaN is NaN
 
 
 def test_sweeps_and_cells_are_crossed_too(
-    tiny: Scenario, policies: list[Path], results: Path
+    tiny: Scenario, policies: list[Path], results: Path, run: Run
 ) -> None:
-    cells = replace(tiny.generalise, cells=((1, 2, 4),), seeds=(41, 42), duration_s=0.05)
-    scenario = replace(tiny, generalise=cells)
     source = learned_policies(policies)
-    sweep(scenario, results, "rayleigh_scale", "ddpg", source, measured_row)
-    generalise(scenario, results, "ddpg", source, measured_row)
-    names = paths.sweep_outputs(scenario, "rayleigh_scale", "ddpg")
-    assert names[-2:] == [f"sweep/rayleigh_scale/ddpg/{v}_crossed.csv" for v in ("0.5", "1")]
-    names += paths.cell_outputs(scenario, "ddpg")
-    assert set(names) <= {str(p.relative_to(results)) for p in results.rglob("*")}
+    run(tiny, "rayleigh_scale", "ddpg", source)
+    run(tiny, "generalise", "ddpg", source)
+    names = {
+        name
+        for experiment in ("rayleigh_scale", "generalise")
+        for name in files.group_files(tiny, experiments(tiny)[experiment], "ddpg")
+    }
+    assert names == {
+        str(path.relative_to(results)) for path in (results / "runs").rglob("*.*t")
+    } | {str(path.relative_to(results)) for path in (results / "runs").rglob("*.mcap")}
     for value in ("0.5", "1"):
-        table = pd.read_csv(results / f"sweep/rayleigh_scale/ddpg/{value}_crossed.csv")
+        table = pd.read_parquet(results / f"runs/rayleigh_scale/{value}/ddpg/crossed.parquet")
         places = table[["policy_seed", "seed", "stage", "axis", "value"]].to_numpy().tolist()
-        assert places == [[2, 21, "sweep", "rayleigh_scale", float(value)]]
-    table = pd.read_csv(results / "generalise/u1_e2_k4/ddpg/crossed.csv")
+        assert places == [[2, 21, "sweep", "rayleigh_scale", value]]
+    table = pd.read_parquet(results / "runs/generalise/u1_e3_k6/ddpg/crossed.parquet")
     assert table[["policy_seed", "seed"]].to_numpy().tolist() == [[1, 42], [2, 41]]
-    measured = replace(scenario, evaluate=replace(scenario.evaluate, policies=("pf",)))
-    wanted = paths.measured_files(measured, "ddpg")
-    assert len(wanted) == len(set(wanted))
-    assert {name for name in wanted if name.endswith(".csv")} >= set(names[-1:])
 
 
-def test_measures_of_values_no_longer_asked_for_disappear(
-    tiny: Scenario, policies: list[Path], results: Path
+def test_what_is_no_longer_asked_for_disappears(
+    tiny: Scenario, policies: list[Path], results: Path, run: Run
 ) -> None:
-    source = learned_policies(policies)
-    sweep(tiny, results, "rayleigh_scale", "ddpg", source, measured_row)
-    fewer = replace(tiny, sweeps=replace(tiny.sweeps, rayleigh_scale=(1.0,)))
-    sweep(fewer, results, "rayleigh_scale", "ddpg", source, measured_row)
-    left = {path.name for path in (results / "sweep/rayleigh_scale/ddpg").iterdir()}
-    assert left == {"1_seed21.mcap", "1_crossed.csv"}
-    one = replace(tiny, learning=replace(tiny.learning, seeds=(1,)))
-    assert not paths.is_crossed(one, "ddpg")
-    assert not paths.is_crossed(tiny, "pf")
-    assert paths.sweep_outputs(one, "rayleigh_scale", "ddpg") == paths.sweep_logs(
-        one, "rayleigh_scale", "ddpg"
-    )
+    """Of this group: logs and measures of other values; other policies' stay."""
+    run(tiny, "rayleigh_scale", "ddpg", learned_policies(policies))
+    run(tiny, "rayleigh_scale")
+    axes = dict(tiny.sweeps.axes)
+    axes["rayleigh_scale"] = replace(axes["rayleigh_scale"], vary={"radio.fading.scale": (1.0,)})
+    fewer = replace(tiny, sweeps=replace(tiny.sweeps, axes=axes))
+    kept = {"1/ddpg/seed21.mcap", "1/ddpg/crossed.parquet", "1/pf/seed21.mcap"}
+
+    def left() -> set[str]:
+        folder = results / "runs/rayleigh_scale"
+        return {str(p.relative_to(folder)) for p in folder.rglob("*") if p.is_file()}
+
+    run(fewer, "rayleigh_scale", "ddpg", learned_policies(policies))
+    assert left() == kept | {"0.5/pf/seed21.mcap"}
+    run(fewer, "rayleigh_scale")
+    assert left() == kept
 
 
 def test_fewer_worlds_than_policies(tiny: Scenario, trained: Path) -> None:
-    source = learned_policies([trained / name for name in paths.policy_files(tiny, "ddpg")])
+    source = learned_policies([trained / name for name in files.policy_files(tiny, "ddpg")])
     gains = LoopGains.memoryless(np.zeros((tiny.max_delay_steps + 1, 2, 5)))
     runs = run_worlds(tiny, gains, source(tiny, "ddpg"), "evaluate", (5,), 2)
-    assert [run.seed for run in runs] == [5]
-    runs = run_worlds(tiny, gains, source(tiny, "ddpg"), "evaluate", (5,), 2, crossed=True)
     assert [(run.seed, run.logged) for run in runs] == [(5, True), (5, False)]

@@ -2,41 +2,48 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hiersched.runs.evaluate import evaluate
-from hiersched.runs.policies import untrained_policies
 
-from hiersched.log import TOPICS, LogError, LogReader, LogWriter
-from hiersched.runs import paths
+from hiersched.experiments import files
 from hiersched.experiments.logged import load_run, read_slots
+from hiersched.experiments.points import experiments
+from hiersched.log import TOPICS, LogError, LogReader, LogWriter
 from hiersched.scenario import Scenario
 
+Evaluate = Callable[..., Scenario]
 ALL = [field.name for topic in TOPICS.values() for field in topic.fields_in("full")]
 
 
-def evaluated(tiny: Scenario, results: Path, profile: str, **changes: object) -> Scenario:
-    scenario = replace(
-        tiny,
-        log=replace(tiny.log, evaluate_profile=profile),
-        evaluate=replace(tiny.evaluate, policies=("edf",), seeds=(11, 12), **changes),
-        traffic=replace(tiny.traffic, load=1.2),
-    )
-    evaluate(scenario, results, "classical", untrained_policies)
-    return scenario
+@pytest.fixture
+def evaluated(tiny: Scenario, run: Callable[..., None]) -> Callable[..., Scenario]:
+    """Evaluate EDF in two worlds, with logs of a profile."""
+
+    def evaluate(profile: str, **changes: object) -> Scenario:
+        scenario = replace(
+            tiny,
+            log=replace(tiny.log, evaluate_profile=profile),
+            evaluate=replace(tiny.evaluate, policies=("edf",), seeds=(11, 12), **changes),
+            traffic=replace(tiny.traffic, load=1.2),
+        )
+        run(scenario, "evaluate")
+        return scenario
+
+    return evaluate
 
 
 @pytest.mark.parametrize("profile", ["compact", "decisions"])
 def test_small_logs_have_all_that_full_ones_have(
-    tiny: Scenario, results: Path, profile: str
+    results: Path, evaluated: Evaluate, profile: str
 ) -> None:
-    path = results / paths.evaluation_log("edf", 12)
-    evaluated(tiny, results, "full")
+    path = results / "runs/evaluate/edf/seed12.mcap"
+    evaluated("full")
     full = read_slots(path, ALL)
-    evaluated(tiny, results, profile)
+    evaluated(profile)
     with LogReader(path) as log:
         assert log.profile == profile
     small = read_slots(path, ALL)
@@ -46,34 +53,35 @@ def test_small_logs_have_all_that_full_ones_have(
         assert small.fields[name].dtype == full.fields[name].dtype, name
 
 
-def test_the_warm_up_is_noted(tiny: Scenario, results: Path) -> None:
-    evaluated(tiny, results, "decisions", warmup_s=0.05, duration_s=0.15)
-    run = read_slots(results / paths.evaluation_log("edf", 11), ["rate_mbps"])
+def test_the_warm_up_is_noted(results: Path, evaluated: Evaluate) -> None:
+    evaluated("decisions", warmup_s=0.05, duration_s=0.15)
+    run = read_slots(results / "runs/evaluate/edf/seed11.mcap", ["rate_mbps"])
     assert (len(run.fields["rate_mbps"]), run.warmup_slots) == (20, 5)
     np.testing.assert_array_equal(run.measured("rate_mbps"), run.fields["rate_mbps"][5:])
 
 
-def test_the_beginning_of_the_first_worlds_is_there_in_full(tiny: Scenario, results: Path) -> None:
-    scenario = evaluated(tiny, results, "decisions", full_logs=1, full_log_s=0.08)
-    ((seed, name),) = paths.full_logs(scenario, "edf")
-    assert seed == 11
+def test_the_beginning_of_the_first_worlds_is_there_in_full(
+    results: Path, evaluated: Evaluate
+) -> None:
+    scenario = evaluated("decisions", full_logs=1, full_log_s=0.08)
+    name = "runs/evaluate/edf/seed11_full.mcap"
     with LogReader(results / name) as log:
         assert (log.profile, log.num_slots) == ("full", 8)
-    whole = read_slots(results / paths.evaluation_log("edf", 11), ALL)
+    whole = read_slots(results / "runs/evaluate/edf/seed11.mcap", ALL)
     beginning = read_slots(results / name, ALL)
     for field in ALL:
         np.testing.assert_array_equal(beginning.fields[field], whole.fields[field][:8])
     assert load_run(results / name).num_slots == 8
-    names = paths.evaluation_outputs(scenario, "classical")
-    written = {str(path.relative_to(results)) for path in (results / "eval").rglob("*.mcap")}
+    names = files.group_files(scenario, experiments(scenario)["evaluate"], "classical")
+    written = {str(path.relative_to(results)) for path in (results / "runs").rglob("*.mcap")}
     assert written == set(names)
 
 
 def test_a_log_that_does_not_follow_from_its_decisions_is_refused(
-    tiny: Scenario, results: Path, tmp_path: Path
+    results: Path, evaluated: Evaluate, tmp_path: Path
 ) -> None:
-    evaluated(tiny, results, "decisions")
-    path = results / paths.evaluation_log("edf", 11)
+    evaluated("decisions")
+    path = results / "runs/evaluate/edf/seed11.mcap"
     with LogReader(path) as log:
         fields = {}
         for topic in log.topics:

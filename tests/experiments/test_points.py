@@ -217,7 +217,7 @@ def test_all_faults_of_all_points_are_listed(tiny_with: Load) -> None:
         experiments(scenario)
     lines = str(caught.value).splitlines()
     starts = [
-        "sweeps.axes.sampling_s.vary: with control.sampling_s = 0.03: robot.window_s = 1.0: must be",
+        "sweeps.axes.sampling_s.vary: with control.sampling_s = 0.03: robot.window_s = 1.0: must",
         "sweeps.axes.load.vary: with traffic.load = -1.0: traffic.load = -1.0: must be greater",
     ]
     assert [line for line, start in zip(lines, starts, strict=False) if line.startswith(start)] == (

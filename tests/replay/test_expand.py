@@ -8,17 +8,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hiersched.runs import paths
 from hiersched.runs.evaluate import evaluate
 from hiersched.runs.learned import learned_policies
 from hiersched.runs.policies import untrained_policies
 from hiersched.runs.train import train_and_log
 
 from hiersched.cli import main
+from hiersched.experiments.logged import load_run
 from hiersched.log import LogReader, log_digest
 from hiersched.replay.compare import compare_logs
 from hiersched.replay.verify import expand, verify
-from hiersched.runs import paths
-from hiersched.experiments.logged import load_run
 from hiersched.scenario import Scenario
 
 TRAINING = "train/ddpg/seed1.mcap"

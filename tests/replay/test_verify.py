@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from hiersched.runs import logged, paths
 from hiersched.runs.gain_study import delays_of_run, gain_sweep
 from hiersched.runs.gains import design_gains
 from hiersched.runs.variants import gain_designs
 
+from hiersched.experiments.logged import load_run
 from hiersched.log import TOPICS, LogError, LogReader, LogWriter
 from hiersched.replay.verify import expand, verify
-from hiersched.runs import logged, paths
-from hiersched.experiments.logged import load_run
 from hiersched.scenario import Scenario
 
 FULL = "eval/edf/seed12.mcap"

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from hiersched.runs import paths
 from hiersched.runs.gain_points import GAIN_SWEEPS, GainPoint, gain_points
 from hiersched.runs.variants import (
     SWEPT_KEYS,
@@ -22,9 +23,8 @@ from hiersched.study.collect import write_measures
 
 from hiersched.control import Certificate, GainSchedule
 from hiersched.core.files import csv_text, write_bytes
-from hiersched.log import TOPICS, LogDims, LogWriter
-from hiersched.runs import paths
 from hiersched.experiments.logged import RunSlots
+from hiersched.log import TOPICS, LogDims, LogWriter
 from hiersched.scenario import Scenario, load_scenario
 from hiersched.scenario.schema import checkpoint_rounds
 from hiersched.simulator.loop_gains import plant_of

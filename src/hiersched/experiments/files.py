@@ -11,6 +11,8 @@ CHECKPOINTS = "checkpoints"
 """Where trainings that have been interrupted go on; empty when they are through."""
 STABILITY = "gains/stability.json"
 """Longest delays of the loops of the gain study."""
+RUNS = "runs"
+"""Runs of every experiment."""
 BOUND = "bound/slots.csv"
 """Exact optima of sampled slots, beside the decisions there."""
 CLAIMS = ("claims.json", "claims.md")
@@ -50,7 +52,7 @@ def learner_logs(scenario: Scenario, learner: str) -> list[str]:
 
 def runs_folder(experiment: Experiment, point: Point, policy: str) -> str:
     """Folder of the runs of a policy at a point."""
-    return "/".join(filter(None, ("runs", experiment.name, point.value, policy)))
+    return "/".join(filter(None, (RUNS, experiment.name, point.value, policy)))
 
 
 def run_log(experiment: Experiment, point: Point, policy: str, seed: int) -> str:

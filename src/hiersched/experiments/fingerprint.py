@@ -42,11 +42,10 @@ def code_fingerprint(script: Path, package_folder: Path = PACKAGE_FOLDER, *, onl
     files = (("", script), *modules.items())
     imported = {name for module, path in files for name in _imports(path, module)}
     for module, path in modules.items():
-        used = {
-            name for parent, _, name in (n.rpartition(".") for n in imported) if parent == module
-        }
-        if module in imported:  # as a whole: any of its names may be used
-            used.add(ALL)
+        names = _registered(path)
+        used = {name for name in names if f"{module}.{name}" in imported}
+        if module in imported or not names:
+            used = {ALL}
         digest.update(f"\0{module}\0{_statements(path, frozenset(used))}".encode())
     for path in _data_files(modules):
         digest.update(f"\0{path.relative_to(package_folder)}\0".encode() + path.read_bytes())
@@ -101,6 +100,7 @@ def _with_parents(name: str) -> list[str]:
     return [".".join(parts[:end]) for end in range(1, len(parts) + 1)]
 
 
+@cache
 def _module_file(name: str, package_folder: Path) -> Path | None:
     base = package_folder.joinpath(*name.split(".")[1:])
     for file in (base / "__init__.py", base.with_suffix(".py")):
@@ -133,19 +133,29 @@ def _data_files(modules: dict[str, Path]) -> list[Path]:
 _REGISTERED = ("figure", "table", "claim")
 
 
-def _is_registered(node: ast.stmt) -> bool:
-    """Whether a statement is a registered function."""
-    called = (d.func for d in getattr(node, "decorator_list", ()) if isinstance(d, ast.Call))
-    return any(isinstance(name, ast.Name) and name.id in _REGISTERED for name in called)
+def _functions(body: list[ast.stmt]) -> dict[str, ast.stmt]:
+    """Return the registered functions of a module by name."""
+    found: dict[str, ast.stmt] = {}
+    for node in body:
+        if isinstance(node, ast.FunctionDef):
+            called = (d.func for d in node.decorator_list if isinstance(d, ast.Call))
+            if any(isinstance(name, ast.Name) and name.id in _REGISTERED for name in called):
+                found[node.name] = node
+    return found
+
+
+@cache
+def _registered(path: Path) -> tuple[str, ...]:
+    """List the names of the registered functions of a file."""
+    text = path.read_text(encoding="utf-8")
+    if not any(f"@{name}(" in text for name in _REGISTERED):
+        return ()
+    return tuple(_functions(ast.parse(text, filename=str(path)).body))
 
 
 def _reached(body: list[ast.stmt], used: frozenset[str]) -> list[ast.stmt]:
     """Leave out registered functions that are not used, nor named by what is left."""
-    left: dict[str, ast.stmt] = {
-        node.name: node
-        for node in body
-        if isinstance(node, ast.FunctionDef) and _is_registered(node) and node.name not in used
-    }
+    left = {name: node for name, node in _functions(body).items() if name not in used}
     waiting = [node for node in body if node not in left.values()]
     while waiting:
         for node in ast.walk(waiting.pop()):

@@ -139,9 +139,9 @@ def slots_of(scenario: Scenario, label: RunLabel, run: WorldRun) -> RunSlots:
 
 
 def _clear(scenario: Scenario, results: Path, experiment: Experiment, group: str) -> None:
-    """Remove what a group's runs have left in folders of theirs and nobody asks for now."""
+    """Remove what a group's runs have left and nobody asks for now: other seeds, other points."""
     keep = {results / name for name in files.group_files(scenario, experiment, group)}
-    for folder in {path.parent for path in keep}:
-        for path in folder.glob("*"):
+    for policy in groups(scenario, experiment)[group]:
+        for path in (results / files.RUNS / experiment.name).glob(f"**/{policy}/*"):
             if path not in keep and (".mcap" in path.name or path.name.startswith("crossed.")):
                 path.unlink()
