@@ -22,7 +22,7 @@ SPREAD = 1.6
 """Standard deviation of the logarithm of late shares between worlds."""
 
 WORLDS = 10
-SAMPLES = 4000
+SAMPLES = 3000
 
 FloatArray = NDArray[np.float64]
 

@@ -34,13 +34,13 @@ def test_learners_are_compared_world_by_world(
     """
     runs = [
         runs_of("ddpg", [10.0, 20.0, 30.0]),
-        runs_of("flat", [11.0, 22.0, 33.0]).iloc[::-1],
+        runs_of("alt", [11.0, 22.0, 33.0]).iloc[::-1],
         runs_of("pf", [5.0, 5.0, 5.0]),
-        runs_of("flat", [0.0, 0.0, 0.0], axis="reference"),
+        runs_of("alt", [0.0, 0.0, 0.0], axis="reference"),
     ]
     table = learner_table(planted(tiny, runs=pd.concat(runs))).set_index("learner")
-    assert list(table.index) == ["ddpg", "flat"]
-    row = table.loc["flat"]
+    assert list(table.index) == ["ddpg", "alt"]
+    row = table.loc["alt"]
     assert row["urllc_rate_mbps"] == pytest.approx(22.0)
     assert row["urllc_rate_mbps_minus_own"] == pytest.approx(2.0)
     half = 4.302653 / np.sqrt(3.0)  # Student's t of two degrees of freedom, spread 1
@@ -58,8 +58,8 @@ def test_a_learner_that_is_never_late_has_a_ratio_from_above(
     tiny: Scenario, planted: Callable[..., Study]
 ) -> None:
     """Shares of 0 count as the 4 packets of a batch of 4000: 0.001 of the own learner's 0.1."""
-    runs = pd.concat([runs_of("ddpg", [10.0] * 3), runs_of("flat", [0.0] * 3)])
-    row = learner_table(planted(tiny, runs=runs)).set_index("learner").loc["flat"]
+    runs = pd.concat([runs_of("ddpg", [10.0] * 3), runs_of("alt", [0.0] * 3)])
+    row = learner_table(planted(tiny, runs=runs)).set_index("learner").loc["alt"]
     late = "urllc_late_share_over_own"
     assert row[[late, f"{late}_lo", f"{late}_hi"]].tolist() == pytest.approx([0.01, 0.0, 0.01])
 
@@ -75,7 +75,7 @@ def test_only_what_differs_is_named(tiny: Scenario) -> None:
 def test_curves_are_those_of_the_logs(study: Study) -> None:
     with house_style():
         panel = draw_learning(study).axes[1]
-    assert list(study.training) == ["ddpg", "flat"]
+    assert list(study.training) == ["ddpg", "alt"]
     for line, (name, frame) in zip(panel.get_lines(), study.training.items(), strict=True):
         rounds = frame.groupby([(frame["episode"] - 1) // 2, "seed"])["urllc_backlog_packets"]
         expected = rounds.mean().groupby(level=0).mean()
@@ -90,7 +90,7 @@ def test_every_learner_is_drawn_at_every_load(
     with house_style():
         figure = draw_learners(study)
     texts = [text.get_text() for text in figure.legends[0].get_texts()]
-    assert texts == ["DRL (DDPG)", "flat", "PF", "drift-plus-penalty"]
-    along = tables["sweeps"].query("axis == 'load' and policy == 'flat'")
+    assert texts == ["DRL (DDPG)", "alt", "PF", "drift-plus-penalty"]
+    along = tables["sweeps"].query("axis == 'load' and policy == 'alt'")
     drawn = figure.axes[3].containers[1].lines[0].get_ydata()
     assert drawn == pytest.approx(along["embb_rate_mbps"].to_numpy())

@@ -54,7 +54,7 @@ def test_groups_have_the_tables_of_what_they_run(tiny: Scenario, results: Path) 
     assert {group: set(names) for group, names in measured_groups(tiny).items()} == {
         "classical": runs,
         "ddpg": {*runs, "episodes"},
-        "flat": {*runs, "episodes"},
+        "alt": {*runs, "episodes"},
         "gains": {"windows", "slots"},
     }
     written = [str(path.relative_to(results)) for path in results.rglob("*.parquet")]
@@ -221,8 +221,8 @@ def test_episodes_are_means_over_their_slots(study: Study, logs: Path) -> None:
         ("training", "seed2", 5, [1, 2, 3, 4]),
         ("checkpoint", "checkpoints_seed2", 10, [0, 2, 4]),
     ):
-        rows = of(study, "episodes", kind=kind, group="flat", seed=2)
-        fields = fields_of(logs / f"train/flat/{name}.mcap")
+        rows = of(study, "episodes", kind=kind, group="alt", seed=2)
+        fields = fields_of(logs / f"train/alt/{name}.mcap")
         assert rows["episode"].tolist() == numbers
         for place, row in enumerate(rows.to_dict("records")):
             own = slice(place * length, (place + 1) * length)
@@ -265,7 +265,7 @@ def test_a_learners_runs_must_be_each_policy_once_in_each_world(
     [
         ("classical", "runs/sampling_s/0.05/pf/seed21.mcap"),
         ("ddpg", "runs/evaluate/ddpg/crossed.parquet"),
-        ("flat", "train/flat/checkpoints_seed1.mcap"),
+        ("alt", "train/alt/checkpoints_seed1.mcap"),
         ("gains", "runs/gain_grid/q100_0.04/adjusted/seed31.mcap"),
     ],
 )
@@ -288,11 +288,11 @@ def test_a_file_that_is_missing_is_named(
 def test_a_training_that_is_cut_short_is_refused(
     copied: Path, tiny: Scenario, zero_fields: Any, write_log: Any, name: str, said: str
 ) -> None:
-    path = copied / f"train/flat/{name}.mcap"
+    path = copied / f"train/alt/{name}.mcap"
     with LogReader(path) as log:
         label = dict(log.metadata)
     own = {key: label[key] for key in ("policy", "seed", "slots_per_episode")}
     own["episodes_per_round"] = "2"
     write_log(path, zero_fields(19), metadata=own)
     with pytest.raises(LogError, match=said):
-        measure(tiny, copied, "flat")
+        measure(tiny, copied, "alt")

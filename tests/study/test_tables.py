@@ -42,10 +42,10 @@ def test_policies_have_means_medians_and_the_interval_that_suits_a_measure(
     tables: dict[str, pd.DataFrame], results: Path, tiny: Scenario
 ) -> None:
     table = tables["policies"].set_index("policy")
-    assert list(table.index) == ["ddpg", "pf", "drift_plus_penalty", "flat"]
+    assert list(table.index) == ["ddpg", "pf", "drift_plus_penalty", "alt"]
     assert (table["seeds"] == 3).all()
     assert table["training_seeds"].to_dict() == {
-        **{"ddpg": 2, "flat": 2},
+        **{"ddpg": 2, "alt": 2},
         **{"pf": 0, "drift_plus_penalty": 0},
     }
     for policy in ("pf", "drift_plus_penalty"):
@@ -133,7 +133,7 @@ def test_a_late_share_of_0_has_the_bound_that_the_worlds_give(
     tiny: Scenario, planted: Callable[..., Study]
 ) -> None:
     """Batches of 4 of 1000 packets, five worlds: 1 - 0.05^(1/5) = 0.4507 of 0.004."""
-    samples = {"ddpg": [0.0, 0.0, 0.004, 0.02, 0.5], "pf": [0.0] * 5, "flat": [0.25] * 5}
+    samples = {"ddpg": [0.0, 0.0, 0.004, 0.02, 0.5], "pf": [0.0] * 5, "alt": [0.25] * 5}
     table = policy_table(planted(tiny, runs=late_runs(tiny, samples))).set_index("policy")
     late = "urllc_late_share"
     assert table[f"{late}_smallest"].tolist() == pytest.approx([0.0018029] * 3, rel=1e-4)
@@ -141,7 +141,7 @@ def test_a_late_share_of_0_has_the_bound_that_the_worlds_give(
     assert table[f"{late}_median"].tolist() == [0.004, 0.0, 0.25]
     bounds = table[[late, f"{late}_lo", f"{late}_hi"]]
     assert bounds.loc["pf"].tolist() == [0.0, 0.0, table.loc["pf", f"{late}_smallest"]]
-    assert bounds.loc["flat"].tolist() == [0.25, 0.25, 0.25]
+    assert bounds.loc["alt"].tolist() == [0.25, 0.25, 0.25]
     assert 0.0 < bounds.loc["ddpg", f"{late}_lo"] < 0.1048
     assert bounds.loc["ddpg", f"{late}_hi"] == 1.0  # cut: a share is no more
     text = markdown_text(bounds.reset_index(), "T", "N")
@@ -152,14 +152,14 @@ def test_a_ratio_over_shares_of_0_is_bounded_from_below(
     tiny: Scenario, planted: Callable[..., Study]
 ) -> None:
     """PF is late in no world, so its share is below the 0.004 of a batch of 4 of 1000 packets."""
-    samples = {"ddpg": [0.04, 0.08, 0.16], "pf": [0.0] * 3, "flat": [0.0, 0.0, 0.1]}
+    samples = {"ddpg": [0.04, 0.08, 0.16], "pf": [0.0] * 3, "alt": [0.0, 0.0, 0.1]}
     table = comparison_table(planted(tiny, runs=late_runs(tiny, samples)))
     rows = table[table["measure"] == "urllc_late_share"].set_index(["policy", "baseline"])
     ratio = rows[["ratio", "ratio_lo", "ratio_hi"]]
     low, _ = stats.ttest_1samp(np.log([10.0, 20.0, 40.0]), 0.0).confidence_interval(0.95)
     expected = [20.0, math.exp(low), math.inf]
     assert ratio.loc[("ddpg", "pf")].tolist() == pytest.approx(expected)
-    assert ratio.loc[("flat", "pf")].isna().all()
+    assert ratio.loc[("alt", "pf")].isna().all()
 
 
 def test_saturations_that_never_come_have_a_bound(
@@ -227,7 +227,7 @@ def test_comparison_is_paired_with_pf(
     tables: dict[str, pd.DataFrame], results: Path, tiny: Scenario
 ) -> None:
     table = tables["comparison"].query("baseline == 'pf'").set_index(["policy", "measure"])
-    assert set(table.index.get_level_values(0)) == {"ddpg", "drift_plus_penalty", "flat"}
+    assert set(table.index.get_level_values(0)) == {"ddpg", "drift_plus_penalty", "alt"}
     pf = [run_metrics(log, tiny) for log in logs_of(results, tiny, "pf")]
     own = crossed(tables, "ddpg", "urllc_late_share")
     baseline = np.array([run.urllc_late_share for run in pf])
@@ -290,7 +290,7 @@ def test_parameters_have_unit_and_origin(tables: dict[str, pd.DataFrame]) -> Non
         *["4", "assumed", "25"]
     ]
     assert table["unit"].notna().all()
-    assert table.loc["learners", "value"] == '{"flat": {"network": "mlp"}}'
+    assert table.loc["learners", "value"] == '{"alt": {"network": "mlp"}}'
 
 
 def test_runs_that_are_too_short_for_table_iii_are_an_error(
