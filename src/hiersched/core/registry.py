@@ -211,6 +211,11 @@ def load_plugin(file: Path) -> ModuleType:
     return _run(file, path, sha256)
 
 
+def is_plugin_file(module: ModuleType) -> bool:
+    """Whether a module is a file that a scenario has named under `plugins`."""
+    return hasattr(module, "__plugin_sha256__")
+
+
 def _file_of(module: ModuleType | None) -> Path | None:
     file = getattr(module, "__file__", None)
     return None if file is None else Path(file).resolve()
