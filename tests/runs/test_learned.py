@@ -26,7 +26,7 @@ from hiersched.runs.train import train_and_log
 from hiersched.scenario import Scenario
 from hiersched.scenario.schema import checkpoint_rounds
 from hiersched.simulator import Simulator
-from hiersched.simulator.loop_gains import LoopGains
+from hiersched.simulator.loop_gains import Gains
 from hiersched.study.metrics import measured_row, metrics_row, run_metrics
 
 EPISODES, SLOTS = 6, 10
@@ -274,7 +274,7 @@ def test_measures_of_values_no_longer_asked_for_disappear(
 
 def test_fewer_worlds_than_policies(tiny: Scenario, trained: Path) -> None:
     source = learned_policies([trained / name for name in paths.policy_files(tiny, "ddpg")])
-    gains = LoopGains.memoryless(np.zeros((tiny.max_delay_steps + 1, 2, 5)))
+    gains = Gains.memoryless(np.zeros((tiny.max_delay_steps + 1, 2, 5)))
     runs = run_worlds(tiny, gains, source(tiny, "ddpg"), "evaluate", (5,), 2)
     assert [run.seed for run in runs] == [5]
     runs = run_worlds(tiny, gains, source(tiny, "ddpg"), "evaluate", (5,), 2, crossed=True)

@@ -17,7 +17,7 @@ from typing import Any
 from hiersched.core.registry import ALGORITHMS
 from hiersched.core.seam import outside_files
 from hiersched.models.model import SECTIONS
-from hiersched.policies.imported import ImportedPolicy
+from hiersched.policies.find import ImportedPolicy
 from hiersched.runs.fingerprint import code_fingerprint
 from hiersched.runs.variants import (
     SWEPT_KEYS,

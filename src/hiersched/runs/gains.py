@@ -8,7 +8,7 @@ from hiersched.control import GainSchedule, load_or_build
 from hiersched.control.gain_schedule import design_key
 from hiersched.runs.variants import gain_designs
 from hiersched.scenario import Scenario
-from hiersched.simulator.loop_gains import LoopGains, loop_gains, plant_of
+from hiersched.simulator.loop_gains import Gains, loop_gains, plant_of
 
 
 def design_gains(scenario: Scenario, design: str, path: Path) -> GainSchedule:
@@ -43,7 +43,7 @@ def design_gains(scenario: Scenario, design: str, path: Path) -> GainSchedule:
     )
 
 
-def load_gains(path: Path, scenario: Scenario) -> tuple[GainSchedule, LoopGains]:
+def load_gains(path: Path, scenario: Scenario) -> tuple[GainSchedule, Gains]:
     """Read the schedule of a scenario and form the gains of its loop.
 
     Raises
