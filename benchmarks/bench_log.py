@@ -25,9 +25,8 @@ from common import Figure, cpu_seconds, main, paper, some_policy
 
 # isort: split
 import numpy as np
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
-from google.protobuf.descriptor_pool import DescriptorPool
-from google.protobuf.message_factory import GetMessageClass
+from hiersched.runs import evaluate as stage
+from hiersched.runs import paths
 from hiersched.runs.gains import design_gains
 from hiersched.runs.learned import learned_policies
 from hiersched.runs.policies import PolicySource, untrained_policies
@@ -37,9 +36,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from hiersched.core.randomness import world_keys
 from hiersched.log import TOPICS, LogDims, LogReader, LogWriter
-from hiersched.log.schema import descriptor_set, topics_in
-from hiersched.runs import evaluate as stage
-from hiersched.runs import paths
+from hiersched.log.schema import descriptors, message_class, topics_in
 from hiersched.scenario import Scenario
 from hiersched.simulator import Simulator
 from hiersched.simulator.loop_gains import LoopGains, plant_of
@@ -64,8 +61,8 @@ def random_fields(slots: int, dims: LogDims = DIMS, seed: int = 0) -> dict[str, 
     rng = np.random.default_rng(seed)
     fields: dict[str, Any] = {}
     for topic in topics_in("full").values():
-        for field in topic.fields[1:]:
-            shape = (slots, *field.concrete_shape(dims))
+        for field in topic.fields:
+            shape = (slots, *field.sized(dims.sizes))
             if field.dtype == "<u4":
                 top = INTEGERS.get(field.name, 2)
                 fields[field.name] = rng.integers(0, top, shape, dtype=np.uint32)
@@ -99,30 +96,21 @@ def write_ours(path: Path, fields: dict[str, Any], compression: str) -> None:
             log.write_block(start, block)
 
 
-def message_classes() -> dict[str, Any]:
-    pool = DescriptorPool()
-    for file in FileDescriptorSet.FromString(descriptor_set("hiersched.Channel")).file:
-        pool.Add(file)
-    return {t.name: GetMessageClass(pool.FindMessageTypeByName(t.message)) for t in TOPICS.values()}
-
-
 def write_stock(path: Path, fields: dict[str, Any], compression: str) -> None:
     slots = len(fields["prb_owner"])
     kind = CompressionType.ZSTD if compression == "zstd" else CompressionType.NONE
-    classes = message_classes()
+    classes = {t.name: message_class(descriptors(), t.message) for t in TOPICS.values()}
     with path.open("wb") as stream:
         writer = Writer(stream, compression=kind, enable_data_crcs=True)
         writer.start(library="stock")
         ids = {}
         for topic in topics_in("full").values():
-            schema = writer.register_schema(
-                topic.message, "protobuf", descriptor_set(topic.message)
-            )
+            schema = writer.register_schema(topic.message, "protobuf", descriptors())
             ids[topic.name] = writer.register_channel(topic.name, "protobuf", schema)
         for slot in range(slots):
             for topic in topics_in("full").values():
                 message = classes[topic.name](slot=slot)
-                for field in topic.fields[1:]:
+                for field in topic.fields:
                     values = fields[field.name][slot]
                     if field.shape:
                         getattr(message, field.name).extend(values.ravel().tolist())

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -252,3 +254,40 @@ def torch_weights():
         return action_weights(actions, policy.weight_exponent)
 
     return weights
+
+
+@pytest.fixture
+def write_plugin(monkeypatch):
+    """Write the file of a plug-in; what it registers is gone after the test."""
+    from hiersched.core import registry
+
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    written = []
+
+    def write(path, text):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+        written.append(path)
+        return path
+
+    yield write
+    for path in written:
+        if sys.modules.pop(path.stem, None):
+            registry._forget(path.resolve())
+
+
+@pytest.fixture
+def other_table(monkeypatch: pytest.MonkeyPatch) -> Callable[..., AbstractContextManager[None]]:
+    """Within its context logs are written with another table of fields, as by another version."""
+    from hiersched.core.fields import FIELDS, Field
+    from hiersched.log import schema, writer
+
+    @contextmanager
+    def other(change: Callable[[list[Field]], list[Field]], version: int = 7) -> Iterator[None]:
+        with monkeypatch.context() as patch:
+            patch.setattr(schema, "TOPICS", schema.topics_of(change(list(FIELDS))))
+            patch.setattr(writer, "SCHEMA_VERSION", version)
+            patch.setattr(writer, "LIBRARY", f"hiersched-log/{version}")
+            yield
+
+    return other

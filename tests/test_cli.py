@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import subprocess
 import sys
 from importlib.metadata import version
@@ -131,26 +132,30 @@ def test_a_study_is_snakemakes(
     assert "error: it's mine.yaml: learning.seeds" in "".join(capfd.readouterr())
 
 
-def test_a_new_folder_runs_as_its_readme_says(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert main(["new", "study"]) == 0
-    assert main(["new", "study"]) == 2
-    assert "study: not empty; nothing is overwritten" in capsys.readouterr().err
-    monkeypatch.chdir(tmp_path / "study")
-    readme = Path("README.md").read_text(encoding="utf-8")
-    commands = [line.split("   ")[0].split() for line in readme.split("    hiersched ")[1:]]
-    assert ["run", "mine.yaml", "--cores", "2"] in commands
-    for words in commands:
-        if "--cores" in words:
-            continue
-        given = [
-            name
-            for word in words
-            for name in (map(str, Path().glob(word)) if "*" in word else [word])
-        ]
-        assert main(given) == 0, words
+def test_a_new_folder_runs_as_its_readme_says(tmp_path: Path, project_root: Path) -> None:
+    """In processes of their own: a plug-in stays where it has been imported."""
+
+    def run(command: str, folder: Path) -> subprocess.CompletedProcess[str]:
+        return subprocess.run(
+            f"{shlex.quote(sys.executable)} -m hiersched.cli {command}",
+            shell=True,
+            cwd=folder,
+            env={**os.environ, "PYTHONPATH": str(project_root / "src")},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+
+    assert run("new study", tmp_path).returncode == 0
+    assert "study: not empty; nothing is overwritten" in run("new study", tmp_path).stderr
+    readme = (tmp_path / "study/README.md").read_text(encoding="utf-8")
+    commands = [line.split("   ")[0] for line in readme.split("    hiersched ")[1:]]
+    study = "run mine.yaml --cores 2"
+    assert study in commands
+    for command in commands:
+        command += " --snakemake='-n --quiet all'" * (command == study)
+        done = run(command, tmp_path / "study")
+        assert done.returncode == 0, (command, done.stderr)
 
 
 CORE_ONLY = """

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hiersched.core.model_fields import ModelField, fields_to_text
+from hiersched.core.fields import ModelField, fields_to_text
 from hiersched.log import LogDims, LogWriter
 from hiersched.log.schema import topics_in
 
@@ -27,8 +27,8 @@ def make_fields(slots: int, dims: LogDims, seed: int = 0) -> Fields:
     rng = np.random.default_rng(seed)
     fields: Fields = {}
     for topic in topics_in("full", dims.num_model_values).values():
-        for field in topic.fields[1:]:
-            shape = (slots, *field.concrete_shape(dims))
+        for field in topic.fields:
+            shape = (slots, *field.sized(dims.sizes))
             raw = rng.bytes(int(np.prod(shape)) * np.dtype(field.dtype).itemsize)
             fields[field.name] = np.frombuffer(raw, field.dtype).reshape(shape)
     return fields

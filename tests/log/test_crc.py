@@ -5,7 +5,7 @@ import zlib
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hiersched.log.crc import crc32_combine
+from hiersched.log.container import crc32_combine
 
 
 @given(st.binary(max_size=300), st.binary(max_size=300))

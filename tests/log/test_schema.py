@@ -1,3 +1,5 @@
+"""One table of fields: what is made of it."""
+
 from __future__ import annotations
 
 import re
@@ -5,63 +7,61 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorSet
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
 from grpc_tools import protoc
 
-import hiersched.log
-from hiersched.log import TOPICS, LogDims
+from hiersched.cli import main
+from hiersched.core.fields import FIELDS, LETTERS, PROFILES, TOPIC_MEANINGS
+from hiersched.log import SCHEMA_VERSION, TOPICS, LogDims, field_table, proto_source
 from hiersched.log.layout import as_raw
-from hiersched.log.schema import (
-    EVENTS_SCHEMA,
-    EVENTS_TOPIC,
-    PROFILES,
-    SCHEMA_VERSION,
-    channel_ids,
-    describes,
-    descriptor_set,
-    proto_source,
-    topics_in,
-)
+from hiersched.log.schema import descriptors, event_descriptors, topics_in
 from hiersched.simulator.record import SlotLayout
 
-FOLDER = Path(hiersched.log.__file__).parent
-NUMPY_TYPES = {
-    FieldDescriptorProto.TYPE_DOUBLE: "<f8",
-    FieldDescriptorProto.TYPE_FLOAT: "<f4",
-    FieldDescriptorProto.TYPE_FIXED32: "<u4",
-    FieldDescriptorProto.TYPE_FIXED64: "<u8",
-}
+DATA = Path(__file__).with_name("data")
 
 
-@pytest.mark.parametrize(
-    ("source", "message"),
-    [("hiersched.proto", "hiersched.Channel"), ("foxglove/Log.proto", EVENTS_SCHEMA)],
-)
-def test_compiled_schema_is_what_protoc_makes_of_the_source(
-    source: str, message: str, tmp_path: Path
-) -> None:
-    out = tmp_path / "set.binpb"
+def compiled(folder: Path, source: str) -> FileDescriptorSet:
+    """What protoc makes of a file."""
+    out = folder / "set.binpb"
     wellknown = Path(protoc.__file__).parent / "_proto"
-    arguments = ["", f"-I{FOLDER}", f"-I{wellknown}", "--include_imports"]
+    arguments = ["", f"-I{folder}", f"-I{wellknown}", "--include_imports"]
     assert protoc.main([*arguments, f"--descriptor_set_out={out}", source]) == 0
-    fresh = FileDescriptorSet.FromString(out.read_bytes())
-    assert fresh == FileDescriptorSet.FromString(descriptor_set(message))
+    return FileDescriptorSet.FromString(out.read_bytes())
 
 
-def test_topics_table_is_the_protobuf_schema() -> None:
-    (file,) = FileDescriptorSet.FromString(descriptor_set("hiersched.Channel")).file
-    compiled = {
-        f"{file.package}.{message.name}": [
-            (f.name, f.number, NUMPY_TYPES[f.type], f.label == f.LABEL_REPEATED)
-            for f in message.field
-        ]
-        for message in file.message_type
-    }
-    table = {
-        topic.message: [(f.name, f.number, f.dtype, f.shape != ()) for f in topic.fields]
-        for topic in TOPICS.values()
-    }
-    assert table == compiled
+def test_descriptors_are_what_protoc_makes_of_the_text(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    assert main(["schema"]) == 0
+    text = capsys.readouterr().out
+    assert text == proto_source()
+    (tmp_path / "hiersched.proto").write_text(text, encoding="utf-8")
+    set_of_protoc = compiled(tmp_path, "hiersched.proto")
+    assert set_of_protoc == FileDescriptorSet.FromString(descriptors())
+    assert f"Schema version {SCHEMA_VERSION}." in text
+    for field in FIELDS:
+        (line,) = re.findall(rf".* {field.name} = \d+;  // (.*)", text)
+        assert all(part in line for part in (field.unit, field.meaning, *field.profiles))
+
+
+def test_events_are_those_of_the_public_schema(tmp_path: Path) -> None:
+    (tmp_path / "foxglove.proto").write_bytes((DATA / "foxglove.proto").read_bytes())
+    public, own = (
+        {message.name: message for file in files.file for message in file.message_type}
+        for files in (
+            compiled(tmp_path, "foxglove.proto"),
+            FileDescriptorSet.FromString(event_descriptors()),
+        )
+    )
+    assert set(own) == {"Log", "Timestamp"}
+    assert own == {name: public[name] for name in own}
+
+
+def test_the_page_on_logs_has_the_table(project_root: Path) -> None:
+    text = (project_root / "docs/log.md").read_text(encoding="utf-8")
+    assert field_table() in text, "docs/log.md: the table of fields is not that of field_table()"
+    assert all(f"`{letter}` {meaning}" in text for letter, meaning in LETTERS.items())
+    assert len(field_table().splitlines()) == len(FIELDS) + 2
 
 
 def test_topics_table_is_the_record_of_the_simulator() -> None:
@@ -70,9 +70,9 @@ def test_topics_table_is_the_record_of_the_simulator() -> None:
     layout = SlotLayout(num_users=5, num_robots=3, num_prb=7, num_model_values=8)
     record = layout.record(1, 2).environment(0)
     table = {
-        field.name: (np.dtype(field.dtype), (2, *field.concrete_shape(dims)))
+        field.name: (np.dtype(field.dtype), (2, *field.sized(dims.sizes)))
         for topic in topics_in("full", 8).values()
-        for field in topic.fields[1:]
+        for field in topic.fields
     }
     assert {name: (values.dtype, values.shape) for name, values in record.items()} == table
 
@@ -97,65 +97,34 @@ def test_raw_bytes_are_views_wherever_a_slot_lies_in_one_piece() -> None:
     assert as_raw(np.zeros((0, 3))).shape == (0,)
 
 
-def test_field_names_are_unique_over_all_topics() -> None:
-    names = [field.name for topic in TOPICS.values() for field in topic.fields[1:]]
-    assert len(names) == len(set(names))
+def test_the_table_is_sound() -> None:
+    assert len({field.name for field in FIELDS}) == len(FIELDS)
+    assert {field.topic for field in FIELDS} == set(TOPIC_MEANINGS)
+    for field in FIELDS:
+        assert set(field.profiles) <= set(PROFILES)
+        assert {n for n in field.shape if isinstance(n, str)} <= set(LETTERS)
+        assert field.dtype in ("<f8", "<f4", "<u4", "<u8")
+        assert field.unit
+        assert field.meaning
 
 
-def test_proto_source_names_the_schema_version() -> None:
-    assert re.search(rb"Schema version (\d+)", proto_source())[1] == str(SCHEMA_VERSION).encode()
-
-
-def test_compact_profile_leaves_out_what_seed_and_scenario_give_again() -> None:
-    assert set(channel_ids("full", 8)) == {*TOPICS, EVENTS_TOPIC} - {"/slices"}
-    assert set(channel_ids("full", 8)) - set(channel_ids("compact", 8)) == {"/world"}
-    left_out = {
-        field.name
-        for topic in topics_in("full").values()
-        for field in set(topic.fields) - set(topic.fields_in("compact"))
+def test_smaller_profiles_leave_out_what_can_be_computed() -> None:
+    names = {
+        profile: {f.name for topic in TOPICS.values() for f in topic.fields_in(profile)}
+        for profile in PROFILES
     }
-    assert left_out == {
-        *("slot", "fading_power", "arrival_uniform", "robot_normal", "average_rate_mbps"),
-        *("hol_delay_s", "delay_s", "constraint", "network_delay_s", "gain_delay_steps"),
-        *("state", "reference", "control"),
-    }
+    sums = {field.name for field in TOPICS["/delay"].fields if field.profiles == ("decisions",)}
+    assert names["full"] | sums == {field.name for field in FIELDS}
+    assert names["decisions"] == {"prb_owner", "multiplier", "reward_urllc", "reward_embb"} | sums
+    assert names["decisions"] - sums < names["compact"] < names["full"]
+    assert names["robots"] < {field.name for field in TOPICS["/robots"].fields}
+    assert "/world" not in topics_in("compact")
 
 
 def test_only_models_that_add_something_have_a_topic() -> None:
     for profile in PROFILES:
-        without, added = channel_ids(profile), channel_ids(profile, 1)
         wanted = {"/models"} if profile in ("full", "compact") else set()
-        assert set(added) - set(without) == wanted
-        assert list(added)[-1] == EVENTS_TOPIC
-
-
-def test_decisions_profile_has_decisions_and_means_of_slices() -> None:
-    contained = {
-        name: [field.name for field in topic.fields_in("decisions")[1:]]
-        for name, topic in topics_in("decisions").items()
-    }
-    assert contained == {
-        "/allocation": ["prb_owner"],
-        "/delay": ["multiplier", "reward_urllc", "reward_embb"],
-        "/slices": [field.name for field in TOPICS["/slices"].fields[1:]],
-    }
-    with pytest.raises(ValueError, match="profile is 'sums'; allowed: full, compact, decisions"):
-        TOPICS["/slices"].fields_in("sums")
-
-
-def test_a_message_is_described_whatever_else_is() -> None:
-    """Files of older versions name fewer topics in their schemas."""
-    ours = FileDescriptorSet.FromString(descriptor_set("hiersched.Delay"))
-    messages = ours.file[0].message_type
-    assert [messages.pop().name for _ in range(2)] == ["Models", "Slices"]
-    older = ours.SerializeToString()
-    assert describes(older, "hiersched.Delay")
-    assert not describes(older, "hiersched.Slices")
-    next(m for m in messages if m.name == "Delay").field[3].name = "due"
-    assert not describes(ours.SerializeToString(), "hiersched.Delay")
-    assert describes(ours.SerializeToString(), "hiersched.Queue")
-    assert not describes(older[:-1], "hiersched.Delay")
-    assert not describes(b"", EVENTS_SCHEMA)
+        assert set(topics_in(profile, 1)) - set(topics_in(profile)) == wanted
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What pandas sees, the digest, and MCAP files of others."""
+"""What pandas sees, and the digest."""
 
 from __future__ import annotations
 
@@ -9,22 +9,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
-from google.protobuf.descriptor_pool import DescriptorPool
-from google.protobuf.message_factory import GetMessageClass
 from mcap.reader import make_reader
-from mcap.writer import CompressionType, Writer
 
-from hiersched.log import (
-    TOPICS,
-    LogError,
-    LogReader,
-    log_digest,
-    read_foreign,
-    slot_span,
-    topic_frame,
-)
-from hiersched.log.schema import descriptor_set
+from hiersched.log import TOPICS, LogReader, log_digest, slot_span, topic_frame
 
 SLOT_NS = 10_000_000
 SLOTS = 100
@@ -38,7 +25,7 @@ def test_frames_hold_every_bit(tmp_path: Path, random_fields: Any, write_log: An
             assert table["slot"].tolist() == list(range(SLOTS))
             assert table["time_s"].tolist() == [slot / 100 for slot in range(SLOTS)]
             names = []
-            for field in TOPICS[topic].fields[1:]:
+            for field in TOPICS[topic].fields:
                 array = fields[field.name].reshape(SLOTS, -1)
                 places = list(np.ndindex(*fields[field.name].shape[1:]))
                 for column, place in zip(array.T, places, strict=True):
@@ -110,91 +97,3 @@ def test_digest_sees_a_single_bit_and_a_shift_in_time(
         digests.add(log_digest(write_log(tmp_path / "a.mcap", changed)))
     digests.add(log_digest(write_log(tmp_path / "a.mcap", fields, slot_ns=SLOT_NS + 1)))
     assert len(digests) == len(fields) + 2
-
-
-def foreign_file(path: Path, **settings: Any) -> Path:
-    """A file of another project: JSON, protobuf and an encoding that nobody knows."""
-    pool = DescriptorPool()
-    for file in FileDescriptorSet.FromString(descriptor_set("foxglove.Log")).file:
-        pool.Add(file)
-    message = GetMessageClass(pool.FindMessageTypeByName("foxglove.Log"))
-    with path.open("wb") as stream:
-        writer = Writer(stream, chunk_size=200, **settings)
-        writer.start(library="another")
-        writer.add_metadata("about", {"key": "value"})
-        writer.add_attachment(0, 0, "notes.txt", "text/plain", b"some notes")
-        schema = writer.register_schema("foxglove.Log", "protobuf", descriptor_set("foxglove.Log"))
-        plain = writer.register_channel("/json", "json", 0)
-        proto = writer.register_channel("/log", "protobuf", schema)
-        raw = writer.register_channel("/raw", "own", 0)
-        for i in range(30):
-            text = f'{{"x": {i}, "pose": {{"y": {i / 8}, "names": ["a"]}}}}'
-            writer.add_message(plain, 10 * i, text.encode(), 10 * i, i)
-            log = message(level=2, message=f"line {i}")
-            log.timestamp.seconds = i
-            writer.add_message(proto, 10 * i, log.SerializeToString(), 10 * i + 1, i)
-            writer.add_message(raw, 10 * i, bytes([i]), 10 * i, i)
-        writer.finish()
-    return path
-
-
-@pytest.mark.parametrize("compression", list(CompressionType))
-def test_foreign_files_become_tables(tmp_path: Path, compression: CompressionType) -> None:
-    path = foreign_file(tmp_path / "f.mcap", compression=compression, enable_data_crcs=True)
-    tables = read_foreign(path)
-    assert set(tables) == {"/json", "/log", "/raw"}
-    assert tables["/json"]["pose.y"].tolist() == [i / 8 for i in range(30)]
-    assert tables["/json"]["pose.names"][3] == ["a"]
-    assert tables["/log"]["timestamp.seconds"].tolist() == list(range(30))
-    assert tables["/log"]["message"][7] == "line 7"
-    assert tables["/log"]["publish_time"].tolist() == [10 * i + 1 for i in range(30)]
-    assert tables["/raw"]["data"][5] == b"\x05"
-    part = read_foreign(path, ["/json"], 55, 100)
-    assert part["/json"]["x"].tolist() == [6, 7, 8, 9]
-
-
-def test_our_files_read_as_foreign_ones(tmp_path: Path, random_fields: Any, write_log: Any) -> None:
-    fields = random_fields(SLOTS)
-    tables = read_foreign(write_log(tmp_path / "a.mcap", fields), ["/allocation", "/events"])
-    owners = np.array(tables["/allocation"]["prb_owner"].tolist(), np.uint32)
-    assert owners.tobytes() == fields["prb_owner"].tobytes()
-    assert tables["/events"]["name"].tolist() == ["run", "network", "control", "control"]
-
-
-def test_damage_to_a_foreign_file_is_noticed(tmp_path: Path) -> None:
-    path = foreign_file(tmp_path / "f.mcap", enable_data_crcs=True)
-    good = path.read_bytes()
-    truth = {topic: table.to_csv() for topic, table in read_foreign(path).items()}
-    rng = np.random.default_rng(3)
-    accepted = []
-    for place in rng.integers(0, 8 * len(good), 400).tolist():
-        bad = bytearray(good)
-        bad[place // 8] ^= 1 << place % 8
-        path.write_bytes(bad)
-        try:
-            tables = read_foreign(path)
-        except LogError:
-            continue
-        accepted.append(place // 8)
-        assert {topic: table.to_csv() for topic, table in tables.items()} == truth
-    assert accepted == []
-
-
-def test_foreign_files_that_are_none(tmp_path: Path) -> None:
-    path = foreign_file(tmp_path / "f.mcap")
-    good = path.read_bytes()
-    for content, message in (
-        (b"", "the file is empty"),
-        (b"text " * 9, "not an MCAP file"),
-        (good[:-1], "truncated"),
-        (good[:-30] + good[-8:], "lie outside|footer"),
-        (good + good, "lie outside|footer"),
-    ):
-        path.write_bytes(content)
-        with pytest.raises(LogError, match=message):
-            read_foreign(path)
-
-
-def test_checksums_are_optional_in_foreign_files(tmp_path: Path) -> None:
-    path = foreign_file(tmp_path / "f.mcap", enable_crcs=False)
-    assert len(read_foreign(path)["/raw"]) == 30

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hiersched.runs import paths
 from hiersched.runs.evaluate import evaluate
 from hiersched.runs.gain_study import gain_study
 from hiersched.runs.gains import design_gains
@@ -18,7 +19,6 @@ from hiersched.runs.train import train_and_log
 from hiersched.runs.variants import gain_designs
 
 from hiersched.log import LogReader, LogWriter
-from hiersched.runs import paths
 from hiersched.scenario import Scenario, load_scenario
 
 # Two worlds for each learned policy: they run side by side. Windows of a tenth of a second: the

@@ -10,19 +10,19 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pytest
+from hiersched.runs import paths
 from hiersched.runs.evaluate import evaluate
 from hiersched.runs.generalise import generalise
 from hiersched.runs.learned import learned_policies
 from hiersched.runs.sweep import sweep
 from hiersched.runs.variants import cell_scenario
 
+from hiersched.experiments.logged import load_run
 from hiersched.learning.policy import TrainedPolicy
 from hiersched.log import LogError, LogReader, log_digest
 from hiersched.replay.compare import compare_logs
 from hiersched.replay.counterfactual import policy_of, rerun
 from hiersched.replay.verify import verify
-from hiersched.runs import paths
-from hiersched.runs.logged import load_run
 from hiersched.scenario import Scenario
 from hiersched.study.metrics import measured_row, metrics_row, run_metrics
 

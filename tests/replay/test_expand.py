@@ -8,18 +8,17 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hiersched.runs import paths
 from hiersched.runs.evaluate import evaluate
 from hiersched.runs.learned import learned_policies
 from hiersched.runs.policies import untrained_policies
 from hiersched.runs.train import train_and_log
 
 from hiersched.cli import main
+from hiersched.experiments.logged import load_run
 from hiersched.log import LogReader, log_digest
 from hiersched.replay.compare import compare_logs
-from hiersched.replay.expand import expand
-from hiersched.replay.verify import verify
-from hiersched.runs import paths
-from hiersched.runs.logged import load_run
+from hiersched.replay.verify import expand, verify
 from hiersched.scenario import Scenario
 
 TRAINING = "train/ddpg/seed1.mcap"
@@ -102,7 +101,7 @@ def test_what_differs_is_not_written(study: Path, tmp_path: Path, rewrite: Any) 
         path = rewrite(study / TRAINING, tmp_path / f"{number}.mcap", tamper)
         found = expand(load_run(path), tmp_path / "new/full.mcap")
         assert found is not None
-        assert (found.slot, found.topic) == (21, "/slices") or found.topic == "/events"
+        assert (found.slot, found.topic) == (21, "/delay") or found.topic == "/events"
         assert list((tmp_path / "new").iterdir()) == []
 
 

@@ -12,21 +12,20 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
+from hiersched.runs import logged, paths
 from hiersched.runs.gain_study import delays_of_run, gain_sweep
 from hiersched.runs.gains import design_gains
 from hiersched.runs.variants import gain_designs
 
+from hiersched.experiments.logged import load_run
 from hiersched.log import TOPICS, LogError, LogReader, LogWriter
-from hiersched.replay.expand import expand
-from hiersched.replay.verify import verify
-from hiersched.runs import logged, paths
-from hiersched.runs.logged import load_run
+from hiersched.replay.verify import expand, verify
 from hiersched.scenario import Scenario
 
 FULL = "eval/edf/seed12.mcap"
 EVALUATED = ("ddpg", "flat", "pf", "edf", "drift_plus_penalty")
 SWEEP = "sweep/reference/ddpg/arc_seed21.mcap"
-TOPIC_OF = {field.name: name for name, topic in TOPICS.items() for field in topic.fields[1:]}
+TOPIC_OF = {field.name: name for name, topic in TOPICS.items() for field in topic.fields}
 
 
 def test_every_log_of_a_study_is_what_the_simulator_computes(study: Path) -> None:
@@ -51,7 +50,7 @@ def test_every_log_of_a_study_is_what_the_simulator_computes(study: Path) -> Non
 
 def test_batches_are_the_same_run(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """However a long log is cut."""
-    monkeypatch.setattr(logged, "_BATCH_SLOTS", 7)
+    monkeypatch.setattr(logged, "BATCH_SLOTS", 7)
     seen: list[int] = []
     training = "train/ddpg/seed1.mcap", "train/ddpg/checkpoints_seed1.mcap"
     for name in (FULL, *training, "gain_study/krasovskii_adjusted_seed31.mcap"):

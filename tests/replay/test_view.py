@@ -16,7 +16,6 @@ from grpc_tools import protoc
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-import hiersched.log
 from hiersched.cli import main
 from hiersched.log import TOPICS, LogDims, LogReader
 from hiersched.log.schema import topics_in
@@ -30,19 +29,6 @@ from hiersched.replay.viewer_topics import (
 )
 
 LOG = "eval/pf/seed11.mcap"
-
-
-def test_compiled_schema_is_what_protoc_makes_of_the_source(tmp_path: Path) -> None:
-    folder = Path(hiersched.log.__file__).parent
-    wellknown = Path(protoc.__file__).parent / "_proto"
-    out = tmp_path / "set.binpb"
-    arguments = ["", f"-I{folder}", f"-I{wellknown}", "--include_imports"]
-    assert protoc.main([*arguments, f"--descriptor_set_out={out}", "foxglove/Viewer.proto"]) == 0
-    fresh, kept = (
-        FileDescriptorSet.FromString(path.read_bytes())
-        for path in (out, folder / "foxglove/Viewer.binpb")
-    )
-    assert fresh == kept
 
 
 @pytest.mark.parametrize(
@@ -71,6 +57,30 @@ def messages(study: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str,
             assert message.log_time == stamp.seconds * 10**9 + stamp.nanos
             found[channel.topic].append((message.sequence, decoded))
     return found
+
+
+def test_messages_are_those_of_the_public_schema(
+    study: Path, tmp_path: Path, project_root: Path
+) -> None:
+    """Of the file's schema records, and of what protoc makes of the public schema."""
+    write_viewer_topics(study / LOG, tmp_path / "viewer.mcap")
+    with (tmp_path / "viewer.mcap").open("rb") as stream:
+        schemas = make_reader(stream).get_summary().schemas.values()
+    assert {schema.name for schema in schemas} == {"foxglove.PoseInFrame", "foxglove.RawImage"}
+    out, data = tmp_path / "set", project_root / "tests/log/data"
+    arguments = ["", f"-I{data}", f"-I{Path(protoc.__file__).parent / '_proto'}"]
+    arguments += ["--include_imports", f"--descriptor_set_out={out}", "foxglove.proto"]
+    assert protoc.main(arguments) == 0
+    public = messages_of(out.read_bytes())
+    for schema in schemas:
+        own = messages_of(schema.data)
+        assert {"PoseInFrame", "RawImage", "Pose", "Vector3", "Quaternion", "Timestamp"} == set(own)
+        assert own == {name: public[name] for name in own}
+
+
+def messages_of(descriptors: bytes) -> dict[str, Any]:
+    files = FileDescriptorSet.FromString(descriptors).file
+    return {message.name: message for file in files for message in file.message_type}
 
 
 def test_poses_are_those_of_the_log(study: Path, messages: dict[str, list[Any]]) -> None:
@@ -109,7 +119,7 @@ def test_plots_are_of_fields_that_exist() -> None:
     dims = LogDims(num_urllc=2, num_embb=3, num_prb=7)
     for plot in PLOTS:
         field = next(f for f in TOPICS[plot.topic].fields if f.name == plot.field)
-        assert len(series_names(plot, dims)) == np.prod(field.concrete_shape(dims))
+        assert len(series_names(plot, dims)) == np.prod(field.sized(dims.sizes))
 
 
 def test_foxglove_layout_names_panels_and_fields_that_exist() -> None:

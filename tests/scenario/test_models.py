@@ -9,6 +9,7 @@ from types import ModuleType
 
 import pytest
 import yaml
+from hiersched.runs import dependencies
 from hiersched.runs.variants import swept_policies
 
 from hiersched.core import registry
@@ -16,7 +17,6 @@ from hiersched.core.registry import ALGORITHMS, PluginError, load_plugin
 from hiersched.models.model import PATH_LOSS, SECTIONS
 from hiersched.policies.imported import ImportedPolicy
 from hiersched.policies.registry import RULES
-from hiersched.runs import dependencies
 from hiersched.scenario import (
     ScenarioError,
     load_resolved,
@@ -64,23 +64,14 @@ WANTED = "plugins: [{name}.py]\nradio: {{path_loss: {{model: power_law, exponent
 
 
 @pytest.fixture
-def plugin(tmp_path, request, monkeypatch):
+def plugin(tmp_path, request, write_plugin):
     """Write a plug-in whose name is the test's own beside the scenario's file; returns its path."""
-    monkeypatch.setattr(sys, "path", list(sys.path))
-    written = []
 
     def write(text, name="mine", folder=tmp_path):
         own = "".join(c if c.isalnum() else "_" for c in request.node.name.lower())[:80]
-        path = folder / f"{name}_{own}.py"
-        path.parent.mkdir(exist_ok=True)
-        path.write_text(HEAD + text, encoding="utf-8")
-        written.append(path)
-        return path
+        return write_plugin(folder / f"{name}_{own}.py", HEAD + text)
 
-    yield write
-    for path in written:
-        sys.modules.pop(path.stem, None)
-        registry._forget(path.resolve())
+    return write
 
 
 def fails(load, text):

@@ -8,7 +8,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 import pytest
 
-from hiersched.core.model_fields import ModelField
+from hiersched.core.fields import ModelField
 from hiersched.core.randomness import world_keys
 from hiersched.core.registry import PluginError
 from hiersched.models.channel.rayleigh import Rayleigh

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from hiersched.control import build_schedule, hold_delays
+from hiersched.experiments.events import entries_in_force
 from hiersched.models.plant.unicycle import SLIP, STATE
-from hiersched.runs.events import entries_in_force
 from hiersched.simulator.loop_gains import LoopGains, loop_gains, plant_of
 
 STILL = {

@@ -19,9 +19,9 @@ from hiersched.control import Certificate, GainSchedule
 from hiersched.core.files import write_parquet
 from hiersched.experiments import files
 from hiersched.experiments.gains import designs
+from hiersched.experiments.logged import RunSlots
 from hiersched.experiments.points import Experiment, Point, experiments
 from hiersched.log import TOPICS, LogDims, LogWriter
-from hiersched.runs.logged import RunSlots
 from hiersched.scenario import Scenario, load_scenario
 from hiersched.scenario.schema import checkpoint_rounds
 from hiersched.simulator.loop_gains import plant_of
@@ -204,9 +204,9 @@ def write_log() -> Callable[..., Path]:
 def _zero_fields(slots: int, dims: LogDims = DIMS) -> Fields:
     """Every field of the log, zero."""
     return {
-        field.name: np.zeros((slots, *field.concrete_shape(dims)), field.dtype)
+        field.name: np.zeros((slots, *field.sized(dims.sizes)), field.dtype)
         for topic in TOPICS.values()
-        for field in topic.fields[1:]
+        for field in topic.fields
     }
 
 
@@ -354,12 +354,8 @@ def _schedule(scenario: Scenario) -> GainSchedule:
     certificates = tuple(
         Certificate(
             certified=delay < steps,
-            criterion="none",
-            delay_steps=delay,
-            margins={},
             tolerance=1e-9,
             spectral_radii=np.linspace(0.9, 0.95, delay + 1),
-            witness=None,
         )
         for delay in range(steps + 1)
     )

@@ -12,9 +12,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
+from hiersched.runs import paths
 from hiersched.runs.variants import SWEPT_KEYS
 
-from hiersched.runs import paths
 from hiersched.scenario import Scenario, load_scenario
 
 pytestmark = pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Commands about one log: info, digest, recover, export."""
+"""Commands about logs: info, digest, recover, export, view, schema."""
 
 from __future__ import annotations
 
@@ -36,6 +36,8 @@ def add_commands(commands: Any) -> None:
             )
         if name == "export":
             _add_export_options(parser)
+    text = "print the schema of the logs that this version writes, as a .proto file"
+    commands.add_parser("schema", help=text, description=text).set_defaults(command=_schema)
 
 
 def _add_export_options(parser: argparse.ArgumentParser) -> None:
@@ -52,6 +54,13 @@ def _add_export_options(parser: argparse.ArgumentParser) -> None:
                         help="from this time on [s]")  # fmt: skip
     parser.add_argument("--to", dest="stop", type=float, default=math.inf, metavar="S",
                         help="to before this time [s]")  # fmt: skip
+
+
+def _schema(parsed: argparse.Namespace) -> int:
+    from hiersched.log import proto_source
+
+    print(proto_source(), end="")
+    return 0
 
 
 def _digest(parsed: argparse.Namespace) -> int:
@@ -106,6 +115,12 @@ def _origin(log: LogReader) -> list[str]:
     if log.model_fields:
         names = ", ".join(f"{f.name} [{f.unit}] ({f.count})" for f in log.model_fields)
         lines.insert(-1, f"models      {names}")
+    for fields, what in (
+        (log.unknown_fields, "not known to this hiersched, read as the log describes them"),
+        (log.missing_fields, "not in the log, which is of another version"),
+    ):
+        if fields:
+            lines.append(f"fields      {what}: {', '.join(fields)}")
     if text.get("recovered_losses"):
         lines.append(f"recovered   lost: {text['recovered_losses']}")
     return lines

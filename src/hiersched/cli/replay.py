@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from hiersched.experiments.logged import LoggedRun
     from hiersched.replay.compare import Comparison
-    from hiersched.runs.logged import LoggedRun
 
 DIFFERS = 1
 
@@ -46,9 +46,8 @@ def add_commands(commands: Any) -> None:
 
 def _replay(parsed: argparse.Namespace) -> int:
     from hiersched.cli.errors import InputError
-    from hiersched.replay.expand import expand
-    from hiersched.replay.verify import decides_again, verify
-    from hiersched.runs.logged import load_run
+    from hiersched.experiments.logged import load_run
+    from hiersched.replay.verify import decides_again, expand, verify
 
     run = load_run(parsed.log)
     if run.added_keys:
@@ -67,6 +66,10 @@ def _replay(parsed: argparse.Namespace) -> int:
         raise InputError(f"{parsed.log}: {error}") from error
     if difference is None:
         print(f"{parsed.log}: OK, {run.num_slots} slots computed again, every bit the same")
+        if run.unknown_fields:
+            left_out = f", nor in {parsed.out}" if parsed.out else ""
+            print(f"not checked{left_out}, since this hiersched does not know them: "
+                  f"{', '.join(run.unknown_fields)}")  # fmt: skip
         if not decides_again(run):
             print("decisions are those of the log: --policy asks the policy again")
         if parsed.out:

@@ -267,5 +267,5 @@ ALGORITHMS: Registry[Any] = Registry("learning.algorithm")
 
 A class may have an attribute `Parameters`, a dataclass: what `learning.parameters` has to be."""
 BUILT_IN_ALGORITHMS = ("ddpg", "a2c")
-ALGORITHMS.add("ddpg", "hiersched.learning.off_policy:Ddpg")
+ALGORITHMS.add("ddpg", "hiersched.learning.ddpg:Ddpg")
 ALGORITHMS.add("a2c", "hiersched.learning.a2c:A2c")

@@ -10,8 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from hiersched.core.extras import naming_extras
-from hiersched.env.core import SlotLoop, action_weights
-from hiersched.env.features import agent_views
+from hiersched.env.core import SlotLoop, action_weights, agent_views
 from hiersched.policies.features import FEATURE_VERSION, FEATURES
 
 if TYPE_CHECKING:

@@ -31,6 +31,32 @@ def task_costs(record: SlotRecord, learning: Learning) -> NDArray[np.float64]:
     return cost
 
 
+def agent_views(
+    features: NDArray[np.floating], num_urllc: int
+) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
+    """Give each agent its users' features, their slice's mean and the other slice's mean.
+
+    Parameters
+    ----------
+    features
+        Shape (..., U, F), URLLC users first.
+    num_urllc
+        How many of them are URLLC users.
+
+    Returns
+    -------
+    urllc, embb
+        Shapes (..., n, 3 F) with the users n of the slice.
+    """
+    parts = features[..., :num_urllc, :], features[..., num_urllc:, :]
+    means = [part.mean(axis=-2, keepdims=True) for part in parts]
+    urllc, embb = (
+        np.concatenate([part, *(np.broadcast_to(means[j], part.shape) for j in order)], axis=-1)
+        for part, order in zip(parts, ((0, 1), (1, 0)), strict=True)
+    )
+    return urllc, embb
+
+
 class SlotLoop:
     """Episodes of a fixed length in E worlds; an action is a number in [-1, 1] for every user.
 

@@ -9,8 +9,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from hiersched.env.core import SlotLoop
-from hiersched.env.features import agent_views
+from hiersched.env.core import SlotLoop, agent_views
 from hiersched.env.vector import slot_info
 from hiersched.env.worlds import EpisodeWorlds
 from hiersched.policies.features import num_features

@@ -16,12 +16,12 @@ from hiersched.allocation.exact import exact_allocation, lagrangian, owned_rates
 from hiersched.allocation.objective import UserTerms
 from hiersched.experiments import files
 from hiersched.experiments.gains import load_gains
+from hiersched.experiments.logged import read_slots
 from hiersched.experiments.points import experiments
 from hiersched.experiments.worlds import seed_worlds
 from hiersched.log import LogError
 from hiersched.policies.exact import slot_terms
 from hiersched.policies.index_rules import CLASSICAL
-from hiersched.runs.logged import read_slots
 from hiersched.scenario import Scenario
 from hiersched.simulator import Simulator
 

@@ -113,15 +113,24 @@ def _outside_hash(module: ModuleType) -> dict[str, str]:
 
 def sources_sha256(module: ModuleType) -> str:
     """Hash the files of a module and of what it imports, but for installed packages."""
+    return _sha256_of({*outside_files(module), str(module.__file__)})
+
+
+def _sha256_of(files: set[str]) -> str:
     digest = hashlib.sha256()
-    for file in sorted({*outside_files(module), str(module.__file__)}):
+    for file in sorted(files):
         digest.update(hashlib.sha256(Path(file).read_bytes()).digest())
     return digest.hexdigest()
 
 
-def outside_sources(thing: Shown) -> dict[str, str]:
-    """Return the hash of the sources of a registered thing, where it is a plug-in's."""
-    return _outside_hash(sys.modules[thing.module])
+def neighbours_sha256(thing: Shown) -> str:
+    """Hash what a registered thing of a plug-in imports from beside its own file.
+
+    What of its own file it depends on, `code_fingerprint` says.
+    """
+    module = sys.modules[thing.module]
+    own = module.__name__.partition(".")[0] == __name__.partition(".")[0]
+    return _sha256_of(set() if own else {*outside_files(module)} - {str(thing.file)})
 
 
 def stage_spec(stage: str, values: Any, script: Path, *, only: str = "") -> str:
@@ -155,16 +164,18 @@ def run_values(scenario: Scenario, experiment: Experiment, group: str) -> dict[s
     swept key changes nothing.
     """
     policies = groups(scenario, experiment)[group]
-    keys = (*_SLOT_LOOP, *_LOG_FORM)
+    added = [f"policies.{name}" for name in policies if name in scenario.policies]
+    keys = (*_SLOT_LOOP, *_LOG_FORM, *added)
     base = picked(scenario, keys)
     points = {p.value: picked(p.scenario, keys) for p, _ in experiment.runs(policies)}
+    swept = {key for point in experiment.points for key in point.values}
     different = {
         key
-        for values in points.values()
-        for key in values.keys() | base.keys()
+        for values in (base, *points.values())
+        for key in values
         if values.get(key) != base.get(key)
-    } | {key for point in experiment.points for key in point.values}
-    added = {name: scenario.policies[name] for name in policies if name in scenario.policies}
+        or any(f"{key}.".startswith(f"{k}.") or k.startswith(f"{key}.") for k in swept)
+    } | {key for values in points.values() for key in base.keys() - values.keys()}
     return {
         **{key: value for key, value in base.items() if key not in different},
         "points": {
@@ -176,7 +187,6 @@ def run_values(scenario: Scenario, experiment: Experiment, group: str) -> dict[s
         "worlds": [experiment.warmup_s, experiment.duration_s],
         "logs": [experiment.profile, experiment.full_logs, experiment.full_log_s],
         "policies": sorted(policies),
-        "added": picked(scenario, tuple(f"policies.{name}" for name in added)),
     }
 
 

@@ -12,6 +12,7 @@ from functools import cache
 from pathlib import Path
 
 PACKAGE = "hiersched"
+ALL = "*"
 PACKAGE_FOLDER = Path(__file__).resolve().parents[1]
 KERNEL_MODULE = PACKAGE_FOLDER / "simulator" / "simulator.py"
 """The module with the slot loop; with what it imports, it is all that has to be compiled."""
@@ -28,8 +29,8 @@ def code_fingerprint(script: Path, package_folder: Path = PACKAGE_FOLDER, *, onl
     package_folder
         Folder of the package `hiersched`.
     only
-        Name of a registered function of the file, which stands for it: others that are registered
-        there (``@figure``, ``@table``, ``@claim``) do not count.
+        Name of a registered function of the file, which stands for it. Others that are registered
+        (``@figure``, ``@table``, ``@claim``), there or elsewhere, count where it reaches them.
 
     Returns
     -------
@@ -37,9 +38,15 @@ def code_fingerprint(script: Path, package_folder: Path = PACKAGE_FOLDER, *, onl
         64 hexadecimal digits.
     """
     modules = reachable_modules(script, package_folder)
-    digest = hashlib.sha256(_statements(script, only).encode())
-    for name, path in modules.items():
-        digest.update(f"\0{name}\0{_statements(path)}".encode())
+    digest = hashlib.sha256(_statements(script, frozenset({only or ALL})).encode())
+    files = (("", script), *modules.items())
+    imported = {name for module, path in files for name in _imports(path, module)}
+    for module, path in modules.items():
+        names = _registered(path)
+        used = {name for name in names if f"{module}.{name}" in imported}
+        if module in imported or not names:
+            used = {ALL}
+        digest.update(f"\0{module}\0{_statements(path, frozenset(used))}".encode())
     for path in _data_files(modules):
         digest.update(f"\0{path.relative_to(package_folder)}\0".encode() + path.read_bytes())
     return digest.hexdigest()
@@ -51,8 +58,7 @@ def reachable_modules(script: Path, package_folder: Path = PACKAGE_FOLDER) -> di
     waiting = [(script, "")]
     while waiting:
         path, name = waiting.pop()
-        package = name if path.name == "__init__.py" else name.rpartition(".")[0]
-        for candidate in _imported_names(path, package):
+        for candidate in _imports(path, name):
             for module in _with_parents(candidate):
                 file = _module_file(module, package_folder)
                 if file is not None and module not in found:
@@ -62,10 +68,16 @@ def reachable_modules(script: Path, package_folder: Path = PACKAGE_FOLDER) -> di
 
 
 @cache
-def _imported_names(path: Path, package: str) -> tuple[str, ...]:
-    """Dotted names that a file imports from the package; the last part may be no module."""
+def _imports(path: Path, name: str) -> tuple[str, ...]:
+    """Dotted names that a module imports from the package; the last part may be no module.
+
+    What it imports for annotations alone does not count.
+    """
+    package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+    tree = ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
+    tree.body = [node for node in tree.body if not _is_for_types(node)]
     names = []
-    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"), filename=str(path))):
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             names += [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -74,8 +86,12 @@ def _imported_names(path: Path, package: str) -> tuple[str, ...]:
                 parts = package.split(".")
                 base = ".".join(parts[: len(parts) - node.level + 1])
                 module = f"{base}.{module}".rstrip(".")
-            names += [module, *(f"{module}.{alias.name}" for alias in node.names)]
+            names += [f"{module}.{alias.name}" for alias in node.names]
     return tuple(name for name in names if name.split(".")[0] == PACKAGE)
+
+
+def _is_for_types(node: ast.stmt) -> bool:
+    return isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
 
 
 def _with_parents(name: str) -> list[str]:
@@ -84,6 +100,7 @@ def _with_parents(name: str) -> list[str]:
     return [".".join(parts[:end]) for end in range(1, len(parts) + 1)]
 
 
+@cache
 def _module_file(name: str, package_folder: Path) -> Path | None:
     base = package_folder.joinpath(*name.split(".")[1:])
     for file in (base / "__init__.py", base.with_suffix(".py")):
@@ -116,20 +133,46 @@ def _data_files(modules: dict[str, Path]) -> list[Path]:
 _REGISTERED = ("figure", "table", "claim")
 
 
-def _is_other(node: ast.stmt, only: str) -> bool:
-    """Whether a statement is a registered function other than one."""
-    if not isinstance(node, ast.FunctionDef) or node.name == only:
-        return False
-    called = (d.func for d in node.decorator_list if isinstance(d, ast.Call))
-    return any(isinstance(name, ast.Name) and name.id in _REGISTERED for name in called)
+def _functions(body: list[ast.stmt]) -> dict[str, ast.stmt]:
+    """Return the registered functions of a module by name."""
+    found: dict[str, ast.stmt] = {}
+    for node in body:
+        if isinstance(node, ast.FunctionDef):
+            called = (d.func for d in node.decorator_list if isinstance(d, ast.Call))
+            if any(isinstance(name, ast.Name) and name.id in _REGISTERED for name in called):
+                found[node.name] = node
+    return found
 
 
 @cache
-def _statements(path: Path, only: str = "") -> str:
-    """Hash the statements of a file without comments, docstrings and positions."""
+def _registered(path: Path) -> tuple[str, ...]:
+    """List the names of the registered functions of a file."""
+    text = path.read_text(encoding="utf-8")
+    if not any(f"@{name}(" in text for name in _REGISTERED):
+        return ()
+    return tuple(_functions(ast.parse(text, filename=str(path)).body))
+
+
+def _reached(body: list[ast.stmt], used: frozenset[str]) -> list[ast.stmt]:
+    """Leave out registered functions that are not used, nor named by what is left."""
+    left = {name: node for name, node in _functions(body).items() if name not in used}
+    waiting = [node for node in body if node not in left.values()]
+    while waiting:
+        for node in ast.walk(waiting.pop()):
+            if isinstance(node, ast.Name) and node.id in left:
+                waiting.append(left.pop(node.id))
+    return [node for node in body if node not in left.values()]
+
+
+@cache
+def _statements(path: Path, used: frozenset[str]) -> str:
+    """Hash the statements of a file without comments, docstrings and positions.
+
+    Of its registered functions those count that are used, from outside or here.
+    """
     tree = ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
-    if only:
-        tree.body = [node for node in tree.body if not _is_other(node, only)]
+    if ALL not in used:
+        tree.body = _reached(tree.body, used)
     for node in ast.walk(tree):
         for name in ("body", "orelse", "finalbody"):
             statements = getattr(node, name, None)

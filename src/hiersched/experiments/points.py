@@ -11,13 +11,20 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import product
+from pathlib import Path
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.core.randomness import STREAM_DELAY, draw_uniforms
-from hiersched.scenario import Scenario, ScenarioError, with_values
+from hiersched.scenario import (
+    Scenario,
+    ScenarioError,
+    find_scenario,
+    load_scenario,
+    with_values,
+)
 from hiersched.scenario.consistency import inconsistencies
 from hiersched.scenario.schema import GainMethod, Users, hold_of
 
@@ -42,6 +49,8 @@ CLASSICAL_GROUP = "classical"
 """Policies that need no training share a job; each learner's have one of their own."""
 GAIN_GROUP = "gains"
 """The loops of the gain study share a job."""
+MAX_NAME = 120
+"""Characters of the name of a point: it is a folder."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -199,6 +208,24 @@ def experiments(scenario: Scenario) -> dict[str, Experiment]:
     return {e.name: e for e in found if e.points and e.policies}
 
 
+def load_study(name_or_path: str | Path) -> Scenario:
+    """Load a scenario, and check that every point of its experiments can be run.
+
+    Raises
+    ------
+    ScenarioError
+        As `load_scenario` and `experiments`; every fault names the file.
+    """
+    scenario = load_scenario(name_or_path)
+    try:
+        experiments(scenario)
+    except ScenarioError as error:
+        path = find_scenario(name_or_path)
+        lines = [f"{path}: {line}" for line in str(error).splitlines()]
+        raise ScenarioError("\n".join(lines)) from error
+    return scenario
+
+
 def _evaluation(scenario: Scenario) -> Iterator[Any]:
     worlds = scenario.evaluate
     yield lambda: Experiment(
@@ -247,25 +274,35 @@ def axis_policies(scenario: Scenario, name: str) -> tuple[str, ...]:
 
 
 def _axis_points(scenario: Scenario, name: str) -> Iterator[Point]:
-    vary = scenario.sweeps.axes[name].vary
-    faults = []
+    vary, where = scenario.sweeps.axes[name].vary, f"sweeps.axes.{name}.vary"
+    faults, names = [], set()
     for values in product(*vary.values()):
         text = "_".join(map(value_text, values))
         chosen = dict(zip(vary, values, strict=True))
+        if len(text) > MAX_NAME or text in names:
+            faults.append(
+                f"{where}: a point would be called {text!r}: must be another name than the other "
+                f"points', of {MAX_NAME} characters or fewer"
+            )
+        names.add(text)
         try:
-            variant = with_values(scenario, chosen, f"sweeps.axes.{name} = {text}")
+            variant = with_values(scenario, chosen, where)
         except ScenarioError as error:
             faults.append(str(error))
         else:
             yield Point(value=text, scenario=variant, values=chosen)
     if faults:
-        raise ScenarioError("\n".join(faults))
+        raise ScenarioError("\n".join(dict.fromkeys(faults)))
 
 
 def value_text(value: Any) -> str:
-    """Return a swept value as it stands in file names: ``0.005``, ``1``, ``zigzag``."""
+    """Return a swept value as it stands in file names: ``0.005``, ``1``, ``zigzag``.
+
+    Of a model: its name, then keys and values.
+    """
     if isinstance(value, Mapping):
-        return "-".join(map(value_text, value.values()))
+        parts = (v if key == "model" else [key, v] for key, v in value.items())
+        return "-".join(map(value_text, parts))
     if isinstance(value, list | tuple):
         return "-".join(map(value_text, value))
     if isinstance(value, bool) or value is None or isinstance(value, str):
@@ -457,9 +494,7 @@ def robots_alone(scenario: Scenario, num_robots: int, what: str) -> Scenario:
 def _checked(variant: Scenario, what: str) -> Scenario:
     faults = inconsistencies(variant)
     if faults:
-        raise ScenarioError(
-            "\n".join(f"scenario {variant.name}: {what}: {fault}" for fault in faults)
-        )
+        raise ScenarioError("\n".join(f"{what}: {fault}" for fault in faults))
     return variant
 
 

@@ -12,6 +12,8 @@ import pandas as pd
 from hiersched.core.files import write_parquet
 from hiersched.experiments import files
 from hiersched.experiments.gains import design_of, load_gains
+from hiersched.experiments.logged import RunSlots
+from hiersched.experiments.logging import RunLabel, write_log
 from hiersched.experiments.points import (
     GAIN_GROUP,
     Experiment,
@@ -22,8 +24,6 @@ from hiersched.experiments.points import (
     is_crossed,
 )
 from hiersched.experiments.worlds import PolicySource, WorldRun, run_worlds, seed_worlds
-from hiersched.runs.logged import RunSlots
-from hiersched.runs.logging import RunLabel, write_log
 from hiersched.scenario import Scenario
 from hiersched.simulator import Gains, Simulator
 
@@ -139,9 +139,9 @@ def slots_of(scenario: Scenario, label: RunLabel, run: WorldRun) -> RunSlots:
 
 
 def _clear(scenario: Scenario, results: Path, experiment: Experiment, group: str) -> None:
-    """Remove what a group's runs have left in folders of theirs and nobody asks for now."""
+    """Remove what a group's runs have left and nobody asks for now: other seeds, other points."""
     keep = {results / name for name in files.group_files(scenario, experiment, group)}
-    for folder in {path.parent for path in keep}:
-        for path in folder.glob("*"):
+    for policy in groups(scenario, experiment)[group]:
+        for path in (results / files.RUNS / experiment.name).glob(f"**/{policy}/*"):
             if path not in keep and (".mcap" in path.name or path.name.startswith("crossed.")):
                 path.unlink()

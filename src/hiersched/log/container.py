@@ -10,6 +10,8 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
@@ -22,7 +24,6 @@ from mcap.records import (
     Channel,
     ChunkIndex,
     DataEnd,
-    Footer,
     Header,
     McapRecord,
     Metadata,
@@ -33,16 +34,21 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
-from hiersched.log.crc import crc32_combine
-
 MAGIC = b"\x89MCAP0\r\n"
+RECORD_START = struct.Struct("<BQ")  # opcode, length of what follows
 CHUNK_START = struct.Struct("<BQQQQI")  # opcode, length, first time, last time, size, CRC
-MESSAGE_INDEX_START = struct.Struct("<BQHI")  # opcode, length, channel id, bytes of entries
 FOOTER_START = struct.Struct("<BQQQ")  # opcode, length, summary start, summary offset start
 DATA_END_BYTES = 13
 FOOTER_BYTES = FOOTER_START.size + 4
-INDEX_ENTRY_BYTES = 16  # of a MessageIndex: time and offset of one message
-CHUNK_OVERHEAD_BYTES = 256  # at most: framing of a chunk, its MessageIndex and its ChunkIndex
+_MESSAGE_INDEX_START = struct.Struct("<BQHI")  # opcode, length, channel id, bytes of entries
+_MEDIA_TYPES = {
+    ".yaml": "application/yaml",
+    ".json": "application/json",
+    ".csv": "text/csv",
+    ".proto": "text/plain",
+}
+_POLYNOMIAL = 0xEDB88320  # of CRC-32, bits reversed: bit 31 is x^0
+_ONE = 1 << 31
 
 
 def _compressor() -> zstandard.ZstdCompressor:
@@ -56,7 +62,7 @@ def _compressor() -> zstandard.ZstdCompressor:
     return zstandard.ZstdCompressor(compression_params=parameters)
 
 
-def record_bytes(*records: McapRecord) -> bytes:
+def _bytes_of(*records: McapRecord) -> bytes:
     """Serialise MCAP records one after the other."""
     builder = RecordBuilder()
     for record in records:
@@ -64,18 +70,14 @@ def record_bytes(*records: McapRecord) -> bytes:
     return bytes(builder.end())  # type: ignore[no-untyped-call]
 
 
-class Container:
-    """Writes an MCAP file in order: preamble, chunks, summary.
+def chunk_names(compression: str, nbytes: int) -> bytes:
+    """Part of a Chunk record between its start and its data."""
+    name = compression.encode()
+    return struct.pack("<I", len(name)) + name + struct.pack("<Q", nbytes)
 
-    Parameters
-    ----------
-    stream
-        Binary stream at offset 0.
-    library
-        Name of the writer, in the header.
-    compression
-        ``zstd`` or ``none``.
-    """
+
+class Container:
+    """Writes an MCAP file in order, preamble, chunks, summary; compression is zstd or none."""
 
     def __init__(self, stream: IO[bytes], *, library: str, compression: str) -> None:
         self._stream = stream
@@ -88,7 +90,7 @@ class Container:
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
         self._counts: dict[int, int] = {}
-        self._write(MAGIC + record_bytes(Header(profile="", library=library)))
+        self._write(MAGIC + _bytes_of(Header(profile="", library=library)))
 
     def _write(self, data: Any, crc: int | None = None) -> None:
         """Append bytes, of known CRC-32 perhaps, to the data section."""
@@ -101,14 +103,15 @@ class Container:
 
     def add_metadata(self, name: str, metadata: Mapping[str, str]) -> int:
         """Write a Metadata record and return its CRC-32."""
-        record = record_bytes(Metadata(name=name, metadata=dict(metadata)))
+        record = _bytes_of(Metadata(name=name, metadata=dict(metadata)))
         self._metadata.append(MetadataIndex(offset=self._offset, length=len(record), name=name))
         self._write(record)
         return zlib.crc32(record)
 
-    def add_attachment(self, name: str, media_type: str, data: bytes) -> None:
+    def add_attachment(self, name: str, data: bytes) -> None:
         """Write an Attachment, dated to the start of the simulation."""
-        record = record_bytes(
+        media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
+        record = _bytes_of(
             Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)
         )
         self._attachments.append(
@@ -139,7 +142,7 @@ class Container:
         self._schemas.append(schema)
         self._channels.append(channel)
         self._counts[channel_id] = 0
-        self._write(record_bytes(schema, channel))
+        self._write(_bytes_of(schema, channel))
 
     def add_chunk(
         self,
@@ -152,25 +155,15 @@ class Container:
     ) -> None:
         """Write a Chunk of one channel and its MessageIndex.
 
-        Parameters
-        ----------
-        channel_id
-            The channel of all its messages.
-        data
-            Bytes-like: the Message records.
-        times
-            Log time of each message [ns], ascending, shape (n,).
-        offsets
-            Offset of each message in the chunk [bytes], shape (n,).
-        stored
-            Not to be compressed, whatever the others are.
+        `data` are the Message records; `times` [ns], ascending, and `offsets` [bytes] of each have
+        shape (n,). A `stored` chunk is not compressed, whatever the others are.
         """
         zstd = None if stored else self._zstd
         packed = data if zstd is None else zstd.compress(data)
-        name = b"" if zstd is None else b"zstd"
-        names = struct.pack("<I", len(name)) + name + struct.pack("<Q", len(packed))
+        compression = "" if zstd is None else "zstd"
+        names = chunk_names(compression, len(packed))
         first, last = int(times[0]), int(times[-1])
-        length = CHUNK_START.size - 9 + len(names) + len(packed)
+        length = CHUNK_START.size - RECORD_START.size + len(names) + len(packed)
         crc = zlib.crc32(data)
         start = self._offset
         self._write(CHUNK_START.pack(Opcode.CHUNK, length, first, last, len(data), crc) + names)
@@ -178,7 +171,7 @@ class Container:
         index_start = self._offset
         entries = np.stack((times, offsets), axis=1).astype("<u8", copy=False).tobytes()
         self._write(
-            MESSAGE_INDEX_START.pack(
+            _MESSAGE_INDEX_START.pack(
                 Opcode.MESSAGE_INDEX, 6 + len(entries), channel_id, len(entries)
             )
             + entries
@@ -188,7 +181,7 @@ class Container:
             ChunkIndex(
                 chunk_length=index_start - start,
                 chunk_start_offset=start,
-                compression=name.decode(),
+                compression=compression,
                 compressed_size=len(packed),
                 message_end_time=last,
                 message_index_length=self._offset - index_start,
@@ -198,47 +191,26 @@ class Container:
             )
         )
 
-    def finished_bytes(self) -> int:
-        """Return how large the file would be, at most, if it were finished now."""
-        entries: tuple[list[Any], ...] = (
-            self._schemas,
-            self._channels,
-            self._attachments,
-            self._metadata,
-        )
-        summary = sum(len(record_bytes(*records)) for records in entries)
-        # Statistics and summary offsets are small and of a bounded size.
-        fixed = DATA_END_BYTES + 1024 + 10 * len(self._channels) + FOOTER_BYTES + len(MAGIC)
-        return self._offset + summary + fixed + CHUNK_OVERHEAD_BYTES * len(self._chunks)
-
     def finish(self) -> None:
         """Write the end of the data section, the summary and the footer."""
-        self._write_uncounted(record_bytes(DataEnd(data_section_crc=self._data_crc)))
-        summary_start = self._offset
+        data_end = _bytes_of(DataEnd(data_section_crc=self._data_crc))
+        start = self._offset + len(data_end)
         summary, offsets = b"", []
         for group in self._summary_groups():
             if group:
-                data = record_bytes(*group)
+                data = _bytes_of(*group)
                 offsets.append(
                     SummaryOffset(
                         group_opcode=data[0],
-                        group_start=summary_start + len(summary),
+                        group_start=start + len(summary),
                         group_length=len(data),
                     )
                 )
                 summary += data
-        offset_start = summary_start + len(summary)
-        summary += record_bytes(*offsets)
-        footer = FOOTER_START.pack(Opcode.FOOTER, 20, summary_start, offset_start)
-        crc = zlib.crc32(footer, zlib.crc32(summary))
-        self._write_uncounted(
-            summary + record_bytes(Footer(summary_start, offset_start, crc)) + MAGIC
-        )
-
-    def _write_uncounted(self, data: bytes) -> None:
-        """Append bytes that the checksum of the data section leaves out."""
-        self._stream.write(data)
-        self._offset += len(data)
+        offset_start = start + len(summary)
+        summary += _bytes_of(*offsets)
+        summary += FOOTER_START.pack(Opcode.FOOTER, 20, start, offset_start)
+        self._stream.write(data_end + summary + zlib.crc32(summary).to_bytes(4, "little") + MAGIC)
 
     def _summary_groups(self) -> list[list[McapRecord]]:
         """Group the records of the summary by opcode, as the specification asks."""
@@ -261,3 +233,35 @@ class Container:
             [*self._attachments],
             [*self._metadata],
         ]
+
+
+def crc32_combine(first: int, second: int, second_bytes: int) -> int:
+    """Return the CRC-32 of two joined pieces from theirs, as zlib's function that Python lacks.
+
+    crc(a b) = crc(a)·x^(8·len(b)) + crc(b) modulo the polynomial, over GF(2). A stored chunk has a
+    checksum of its own and is part of that of the data section: this saves a pass over its bytes.
+    """
+    return _multiply(_power_of_x(8 * second_bytes), first) ^ second
+
+
+@lru_cache(maxsize=64)
+def _power_of_x(exponent: int) -> int:
+    """Raise x to a power modulo the polynomial, by squaring."""
+    result, square = _ONE, _ONE >> 1
+    while exponent:
+        if exponent & 1:
+            result = _multiply(square, result)
+        square = _multiply(square, square)
+        exponent >>= 1
+    return result
+
+
+def _multiply(a: int, b: int) -> int:
+    """Multiply two polynomials over GF(2) modulo the polynomial."""
+    product = 0
+    while a:
+        if a & _ONE:
+            product ^= b
+        a = (a << 1) & 0xFFFFFFFF
+        b = (b >> 1) ^ (_POLYNOMIAL if b & 1 else 0)
+    return product

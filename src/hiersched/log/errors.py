@@ -29,14 +29,7 @@ _DECODING_ERRORS = (
 class LogError(Exception):
     """A file is not a log that can be trusted, or not one that holds what was asked for.
 
-    Parameters
-    ----------
-    file
-        Path of the file.
-    offset
-        Byte offset at which the trouble lies.
-    what
-        What is wrong.
+    It names `file`, `offset`, the byte at which the trouble lies, and `what` is wrong.
     """
 
     def __init__(self, file: str | os.PathLike[str], offset: int, what: str) -> None:

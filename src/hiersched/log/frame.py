@@ -17,24 +17,10 @@ if TYPE_CHECKING:
 
 
 def slot_span(log: LogReader, start_s: float, stop_s: float) -> tuple[int, int]:
-    """Slots that start in a span of simulated time.
+    """Slots that start from `start_s` to before `stop_s` [s] of simulated time.
 
-    Parameters
-    ----------
-    log
-        The log, for the slot length.
-    start_s, stop_s
-        From `start_s` to before `stop_s` [s]; infinity is the end of the log.
-
-    Returns
-    -------
-    tuple of int
-        First slot and the slot behind the last, as `LogReader.read` wants them.
-
-    Raises
-    ------
-    ValueError
-        If the span runs backwards or starts before 0.
+    Infinity is the end of the log. Returns the first slot and the one behind the last, as
+    `LogReader.read` wants them; ValueError if the span runs backwards or starts before 0.
     """
     if not 0 <= start_s <= stop_s:
         raise ValueError(f"times {start_s:g} s to {stop_s:g} s; allowed: 0 <= start <= stop")
@@ -53,14 +39,10 @@ def topic_frame(
     start_s: float = 0.0,
     stop_s: float = math.inf,
 ) -> DataFrame:
-    """Read a topic into a table.
+    """Read a topic, or ``/events``, into a table.
 
     Parameters
     ----------
-    log
-        The log.
-    topic
-        One of ``log.topics``, or ``/events``.
     fields
         Names of the fields; all of the topic by default. Those of ``/models`` are those of
         `LogReader.model_fields`. Events have no choice.

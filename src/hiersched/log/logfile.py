@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import re
 import struct
 import zlib
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, dataclass, field, fields
 from io import BytesIO
-from typing import Any
+from pathlib import Path
+from typing import Any, TypeVar
 
+import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import (
+    Attachment,
     AttachmentIndex,
     Channel,
+    Chunk,
     ChunkIndex,
     Header,
     Metadata,
@@ -21,120 +26,174 @@ from mcap.records import (
     Schema,
     Statistics,
 )
+from mcap.stream_reader import StreamReader
 
-from hiersched.core.model_fields import fields_from_text
+from hiersched.core.fields import fields_from_text
 from hiersched.log.container import (
+    CHUNK_START,
     DATA_END_BYTES,
     FOOTER_BYTES,
     FOOTER_START,
     MAGIC,
+    RECORD_START,
+    chunk_names,
 )
 from hiersched.log.errors import LogError, reading
-from hiersched.log.recordfile import RECORD_START, RecordFile
+from hiersched.log.layout import HEADER, RECORD_PREFIX_BYTES, TopicSchema, find_message
 from hiersched.log.schema import (
     EVENTS_SCHEMA,
     EVENTS_TOPIC,
     METADATA_NAME,
     MODEL_FIELDS,
-    PROFILES,
-    SCHEMA_VERSION,
-    TOPICS,
     LogDims,
-    channel_ids,
-    describes,
 )
-from hiersched.log.walk import walk
 
-_SUMMARY_TYPES: dict[int, Any] = {
-    Opcode.SCHEMA: Schema,
-    Opcode.CHANNEL: Channel,
-    Opcode.STATISTICS: Statistics,
-    Opcode.CHUNK_INDEX: ChunkIndex,
-    Opcode.ATTACHMENT_INDEX: AttachmentIndex,
-    Opcode.METADATA_INDEX: MetadataIndex,
+T = TypeVar("T")
+_OPCODES: dict[Any, int] = {
+    Header: Opcode.HEADER,
+    Metadata: Opcode.METADATA,
+    Attachment: Opcode.ATTACHMENT,
 }
 
 
-class LogFile(RecordFile):
-    """An open log; `load` has to succeed before anything else is asked of it.
+@dataclass(frozen=True)
+class TopicIndex:
+    """What a file says about a topic, and where its messages lie."""
 
-    Parameters
-    ----------
-    path
-        The file.
-    """
+    schema: TopicSchema
+    num_messages: int
+    chunks: list[ChunkIndex] = field(default_factory=list)
+
+
+class LogFile:
+    """An open log; one of the two ways to load it has to succeed before anything else."""
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self._stream = open(self.path, "rb")
+        self.size = os.fstat(self._stream.fileno()).st_size
+        self._zstd = zstandard.ZstdDecompressor()
+        self._last_chunk: tuple[int, bytes | memoryview] = (-1, b"")
+
+    def close(self) -> None:
+        """Close the file."""
+        self._stream.close()
 
     def load(self, *, whole: bool) -> None:
-        """Check the framing, the checksums and the versions, and read the summary.
-
-        Parameters
-        ----------
-        whole
-            Check the bytes of the data section too.
-        """
+        """Check framing and checksums, of the data section too if `whole`; read the summary."""
         self._check_start()
-        self._check_end()
-        self._load_summary()
+        least = len(MAGIC) + RECORD_START.size + 8 + DATA_END_BYTES + FOOTER_BYTES + len(MAGIC)
+        if self.size < least or self.read(self.size - len(MAGIC), len(MAGIC)) != MAGIC:
+            raise self._truncated()
+        summary = self._read_summary()
         self._check_data_end(whole)
-        self._load_metadata()
-        self._load_channels()
+        statistics = _of(summary, Statistics)
+        chunks = len(_of(summary, ChunkIndex))
+        if len(statistics) != 1 or statistics[0].chunk_count != chunks:
+            raise self.fail(self.summary_start, f"the statistics do not fit {chunks} chunks")
+        self._take(summary, statistics[0].channel_message_counts)
 
     def load_without_summary(self) -> list[LogError]:
-        """Read what a writer left that never came to write the summary, record by record.
-
-        Returns
-        -------
-        list of LogError
-            What could not be read.
-        """
+        """Read what a killed writer left, record by record; return what could not be read."""
         self._check_start()
         self.summary_start = self.size
-        found = walk(self.path, self.size, self.read, self.chunk_data)
-        self._take_summary(found.records)
-        self._load_metadata()
-        self._load_channels()
-        return found.losses
+        found, counts, losses = self._walk()
+        self._take(found, counts)
+        return losses
 
-    def _check_start(self) -> None:
-        """Check that this is an MCAP file, complete, and a log of a version that we know."""
-        if self.size == 0:
-            raise self._fail(0, "the file is empty")
-        if self.read(0, min(len(MAGIC), self.size)) != MAGIC[: self.size]:
-            raise self._fail(0, "this is not an MCAP file")
-        if self.size < len(MAGIC) + RECORD_START.size + 8:
-            raise self._truncated()
-        header = self.record(len(MAGIC), None, Header)
-        match = re.fullmatch(r"hiersched-log/([1-9][0-9]{0,8})", header.library)
-        if match is None:
-            raise self._fail(
-                len(MAGIC), f"this MCAP file is by {header.library!r}, not a log of hiersched"
-            )
-        self._check_version(int(match[1]), len(MAGIC))
+    def fail(self, offset: int, what: str) -> LogError:
+        """Make the error that something is wrong at a byte offset."""
+        return LogError(self.path, offset, what)
 
     def _truncated(self) -> LogError:
-        return self._fail(
+        return self.fail(
             self.size,
             "the file is truncated: it does not end as an MCAP file has to "
             "(hiersched recover gets back what there is)",
         )
 
-    def _check_end(self) -> None:
-        """Check that the file is complete."""
-        least = len(MAGIC) + RECORD_START.size + 8 + DATA_END_BYTES + FOOTER_BYTES + len(MAGIC)
-        if self.size < least or self.read(self.size - len(MAGIC), len(MAGIC)) != MAGIC:
-            raise self._truncated()
+    def read(self, offset: int, length: int) -> bytes:
+        """Read bytes that have to be there."""
+        if offset < 0 or length < 0 or offset + length > self.size:
+            raise self.fail(self.size, f"{length} bytes at {offset} lie outside of the file")
+        self._stream.seek(offset)
+        data = self._stream.read(length)
+        if len(data) != length:
+            raise self.fail(offset + len(data), "the file became shorter while it was read")
+        return data
 
-    def _check_version(self, version: int, offset: int) -> None:
-        if version != SCHEMA_VERSION:
-            age = "newer" if version > SCHEMA_VERSION else "older"
-            raise self._fail(
-                offset,
-                f"the log has schema version {version}, {age} than version {SCHEMA_VERSION} "
-                "that this hiersched reads",
+    def _record(self, offset: int, length: int | None, kind: Any, *, has_crc: bool = False) -> Any:
+        """Read a Header, Metadata or Attachment; without a length it takes what the record says."""
+        opcode, named = RECORD_START.unpack(self.read(offset, RECORD_START.size))
+        if opcode != _OPCODES[kind] or length not in (None, RECORD_START.size + named):
+            raise self.fail(offset, f"there is no {kind.__name__} record as announced")
+        body = self.read(offset + RECORD_START.size, named)
+        if has_crc and zlib.crc32(body[:-4]).to_bytes(4, "little") != body[-4:]:
+            raise self.fail(offset, f"the {kind.__name__} does not match its checksum")
+        with reading(self.path, offset, f"the {kind.__name__}"):
+            return kind.read(ReadDataStream(BytesIO(body)))
+
+    def attachment(self, index: AttachmentIndex) -> bytes:
+        """Read the content of an attachment."""
+        data: bytes = self._record(index.offset, index.length, Attachment, has_crc=True).data
+        return data
+
+    def chunk_data(self, index: ChunkIndex) -> bytes | memoryview:
+        """Read the Message records of a chunk: check it, and undo its compression."""
+        offset = index.chunk_start_offset
+        if self._last_chunk[0] == offset:
+            return self._last_chunk[1]
+        record = self.read(offset, index.chunk_length)
+        names = chunk_names(index.compression, index.compressed_size)
+        data = memoryview(record)[CHUNK_START.size + len(names) :]
+        start = (
+            Opcode.CHUNK,
+            len(record) - RECORD_START.size,
+            index.message_start_time,
+            index.message_end_time,
+            index.uncompressed_size,
+        )
+        *head, stored = CHUNK_START.unpack_from(record)
+        if (
+            tuple(head) != start
+            or record[CHUNK_START.size : CHUNK_START.size + len(names)] != names
+            or len(data) != index.compressed_size
+        ):
+            raise self.fail(offset, "a chunk does not match its entry in the summary")
+        content = self._decompress(index, data)
+        if len(content) != index.uncompressed_size or zlib.crc32(content) != stored:
+            raise self.fail(offset, "a chunk does not match its checksum")
+        self._last_chunk = offset, content
+        return content
+
+    def _decompress(self, index: ChunkIndex, data: memoryview) -> bytes | memoryview:
+        if index.compression == "":
+            return data
+        offset = index.chunk_start_offset
+        if index.compression != "zstd":
+            raise self.fail(offset, f"a chunk has compression {index.compression!r}")
+        with reading(self.path, offset, "a chunk"):
+            # Its own header says how much memory it wants: do not believe it blindly.
+            if zstandard.frame_content_size(data) != index.uncompressed_size:
+                raise ValueError("the compressed data have another size")
+            return self._zstd.decompress(data)
+
+    def _check_start(self) -> None:
+        """Check that this is an MCAP file, complete, and a log of ours."""
+        if self.size == 0:
+            raise self.fail(0, "the file is empty")
+        if self.read(0, min(len(MAGIC), self.size)) != MAGIC[: self.size]:
+            raise self.fail(0, "this is not an MCAP file")
+        if self.size < len(MAGIC) + RECORD_START.size + 8:
+            raise self._truncated()
+        self.library: str = self._record(len(MAGIC), None, Header).library
+        if not re.fullmatch(r"hiersched-log/[1-9][0-9]{0,8}", self.library):
+            raise self.fail(
+                len(MAGIC), f"this MCAP file is by {self.library!r}, not a log of hiersched"
             )
 
-    def _load_summary(self) -> None:
-        """Check the footer and the summary's checksum and read the summary."""
+    def _read_summary(self) -> list[Any]:
+        """Check the footer and the summary's checksum, and read the summary's records."""
         footer = self.size - len(MAGIC) - FOOTER_BYTES
         data = self.read(footer, FOOTER_BYTES)
         opcode, length, self.summary_start, offset_start = FOOTER_START.unpack_from(data)
@@ -142,46 +201,20 @@ class LogFile(RecordFile):
         if (opcode, length) != (Opcode.FOOTER, 20) or not (
             least <= self.summary_start <= offset_start <= footer
         ):
-            raise self._fail(footer, "the footer is damaged")
+            raise self.fail(footer, "the footer is damaged")
         summary = self.read(self.summary_start, footer - self.summary_start)
         crc = zlib.crc32(data[: FOOTER_START.size], zlib.crc32(summary))
         if data[FOOTER_START.size :] != crc.to_bytes(4, "little"):
-            raise self._fail(self.summary_start, "the summary does not match its checksum")
-        records: dict[Any, list[Any]] = {kind: [] for kind in _SUMMARY_TYPES.values()}
+            raise self.fail(self.summary_start, "the summary does not match its checksum")
         with reading(self.path, self.summary_start, "the summary"):
-            position = 0
-            while position < offset_start - self.summary_start:
-                opcode, length = RECORD_START.unpack_from(summary, position)
-                position += RECORD_START.size
-                body = summary[position : position + length]
-                if kind := _SUMMARY_TYPES.get(opcode):
-                    records[kind].append(kind.read(ReadDataStream(BytesIO(body))))
-                position += length
-        self._take_summary(records)
-
-    def _take_summary(self, records: dict[Any, list[Any]]) -> None:
-        """Keep what we need of the summary."""
-        if len(records[Statistics]) != 1:
-            raise self._fail(self.summary_start, "the summary has no statistics")
-        statistics = records[Statistics][0]
-        self.message_counts: dict[int, int] = statistics.channel_message_counts
-        self.attachment_indexes: list[AttachmentIndex] = records[AttachmentIndex]
-        self._metadata_indexes: list[MetadataIndex] = records[MetadataIndex]
-        self._chunk_indexes: list[ChunkIndex] = records[ChunkIndex]
-        self._schemas = {schema.id: schema for schema in records[Schema]}
-        self._channels = {channel.topic: channel for channel in records[Channel]}
-        if statistics.chunk_count != len(self._chunk_indexes):
-            raise self._fail(
-                self.summary_start,
-                f"the summary has {len(self._chunk_indexes)} of {statistics.chunk_count} chunks",
-            )
+            return list(StreamReader(BytesIO(summary + data + MAGIC), skip_magic=True).records)
 
     def _check_data_end(self, whole: bool) -> None:
         """Check the DataEnd record, and the checksum of all bytes before it if asked."""
         end = self.summary_start - DATA_END_BYTES
         opcode, length, stored = struct.unpack("<BQI", self.read(end, DATA_END_BYTES))
         if (opcode, length) != (Opcode.DATA_END, 4):
-            raise self._fail(end, "the end of the data section is damaged")
+            raise self.fail(end, "the end of the data section is damaged")
         if not whole:
             return
         crc, position, step = 0, 0, 1 << 20
@@ -190,57 +223,138 @@ class LogFile(RecordFile):
             crc = zlib.crc32(data, crc)
             position += len(data)
         if crc != stored:
-            raise self._fail(end, "the data section does not match its checksum")
+            raise self.fail(end, "the data section does not match its checksum")
 
-    def _load_metadata(self) -> None:
-        """Read the metadata record and what it says about the layout."""
-        places = [index for index in self._metadata_indexes if index.name == METADATA_NAME]
+    def _take(self, summary: list[Any], counts: dict[int, int]) -> None:
+        """Keep what we need of the summary's records, sorted by topic."""
+        channels = _of(summary, Channel)
+        self.attachment_indexes = _of(summary, AttachmentIndex)
+        self._load_metadata(_of(summary, MetadataIndex), channels)
+        schemas = {schema.id: schema for schema in _of(summary, Schema)}
+        self.topics: dict[str, TopicIndex] = {}
+        with reading(self.path, self.summary_start, "the schemas"):
+            for channel in channels:
+                name, data = schemas[channel.schema_id].name, schemas[channel.schema_id].data
+                find_message(data, name)  # it has to be there
+                schema = TopicSchema(channel.id, name, data)
+                self.topics[channel.topic] = TopicIndex(schema, counts.get(channel.id, 0))
+        by_id = {topic.schema.channel_id: topic for topic in self.topics.values()}
+        events = self.topics.get(EVENTS_TOPIC)
+        if not events or events.schema.message != EVENTS_SCHEMA or len(by_id) != len(channels):
+            raise self.fail(self.summary_start, f"the topics are {[c.topic for c in channels]}")
+        for chunk in _of(summary, ChunkIndex):
+            ids = list(chunk.message_index_offsets)
+            if len(ids) != 1 or ids[0] not in by_id:
+                raise self.fail(chunk.chunk_start_offset, f"a chunk has channels {ids}")
+            by_id[ids[0]].chunks.append(chunk)
+
+    def _load_metadata(self, places: list[MetadataIndex], channels: list[Channel]) -> None:
+        """Read the metadata record and what it says about sizes."""
+        places = [index for index in places if index.name == METADATA_NAME]
         if len(places) != 1:
-            raise self._fail(self.summary_start, f"there is no metadata {METADATA_NAME!r}")
+            raise self.fail(self.summary_start, f"there is no metadata {METADATA_NAME!r}")
         offset, length = places[0].offset, places[0].length
-        record = self.read(offset, length)
-        crc = f"{zlib.crc32(record):08x}"
-        if any(c.metadata.get("metadata_crc32") != crc for c in self._channels.values()):
-            raise self._fail(offset, "the metadata do not match their checksum")
-        self.metadata: dict[str, str] = self.record(offset, length, Metadata).metadata
+        crc = f"{zlib.crc32(self.read(offset, length)):08x}"
+        if any(channel.metadata.get("metadata_crc32") != crc for channel in channels):
+            raise self.fail(offset, "the metadata do not match their checksum")
+        self.metadata: dict[str, str] = self._record(offset, length, Metadata).metadata
         with reading(self.path, offset, "the metadata"):
-            self._check_version(int(self.metadata["schema_version"]), offset)
             self.slot_ns = int(self.metadata["slot_ns"])
             self.profile = self.metadata["profile"]
             self.dims = LogDims(
                 **{
-                    field.name: int(self.metadata[field.name])
-                    for field in fields(LogDims)
+                    size.name: int(self.metadata[size.name])
+                    for size in fields(LogDims)
                     # Logs of earlier versions do not say what their robots are: unicycles. Those
                     # of models that add nothing do not say so.
-                    if field.default is MISSING or field.name in self.metadata
+                    if size.default is MISSING or size.name in self.metadata
                 }
             )
             num_values = self.dims.num_model_values
             text = self.metadata[MODEL_FIELDS] if num_values else "[]"
             self.model_fields = fields_from_text(text, num_values)
-        if self.profile not in PROFILES or self.slot_ns < 1:
-            raise self._fail(
-                offset, f"the metadata have profile {self.profile!r}, slot_ns {self.slot_ns}"
-            )
+            if self.slot_ns < 1 or int(self.metadata["schema_version"]) < 1:
+                raise ValueError("slot_ns and schema_version have to be 1 at least")
 
-    def _load_channels(self) -> None:
-        """Check that channels and schemas are ours, and sort the chunks by topic."""
-        self.channel_ids = channel_ids(self.profile, self.dims.num_model_values)
-        if {t: c.id for t, c in self._channels.items()} != self.channel_ids:
-            raise self._fail(self.summary_start, f"the topics are {sorted(self._channels)}")
-        for topic, channel in self._channels.items():
-            message = EVENTS_SCHEMA if topic == EVENTS_TOPIC else TOPICS[topic].message
-            schema = self._schemas.get(channel.schema_id)
-            if schema is None or schema.name != message or not describes(schema.data, message):
-                raise self._fail(
-                    self.summary_start,
-                    f"the schema of {topic} is not {message} of version {SCHEMA_VERSION}",
-                )
-        self.chunks: dict[str, list[ChunkIndex]] = {topic: [] for topic in self.channel_ids}
-        topics = {channel_id: topic for topic, channel_id in self.channel_ids.items()}
-        for chunk in self._chunk_indexes:
-            ids = list(chunk.message_index_offsets)
-            if len(ids) != 1 or ids[0] not in topics:
-                raise self._fail(chunk.chunk_start_offset, f"a chunk has channels {ids}")
-            self.chunks[topics[ids[0]]].append(chunk)
+    def _walk(self) -> tuple[list[Any], dict[int, int], list[LogError]]:
+        """Go through the data section, record by record, as far as it goes.
+
+        Returns entries as a summary has them, of chunks whose checksum is right alone; messages by
+        channel; and what could not be read: other chunks, and the place where the walk had to end.
+        """
+        found: list[Any] = []
+        losses: list[LogError] = []
+        counts: dict[int, int] = {}
+        offset = len(MAGIC)
+        while offset != self.size:
+            try:
+                opcode, length = RECORD_START.unpack(self.read(offset, RECORD_START.size))
+                if opcode in (Opcode.DATA_END, Opcode.FOOTER):
+                    break
+                if not Opcode.HEADER <= opcode <= Opcode.DATA_END:
+                    raise self.fail(offset, f"there is no record of kind {opcode}")
+                body = self.read(offset + RECORD_START.size, length)
+                with reading(self.path, offset, "a record"):
+                    entry = _entry(opcode, body, offset)
+            except LogError as error:
+                end = min(offset, self.size)
+                losses.append(self.fail(end, f"the records end here: {error.what}"))
+                break
+            if isinstance(entry, ChunkIndex):
+                try:
+                    _count(entry, self.chunk_data(entry), counts)
+                except LogError as error:
+                    losses.append(error)
+                    entry = None
+            found.append(entry)
+            offset += RECORD_START.size + length
+        return found, counts, losses
+
+
+def _of(records: list[Any], kind: type[T]) -> list[T]:
+    return [record for record in records if isinstance(record, kind)]
+
+
+def _entry(opcode: int, body: bytes, offset: int) -> Any:
+    """Make of a record what the summary would say about it; None if it would say nothing."""
+    stream = ReadDataStream(BytesIO(body))
+    length = RECORD_START.size + len(body)
+    if opcode == Opcode.SCHEMA:
+        return Schema.read(stream)
+    if opcode == Opcode.CHANNEL:
+        return Channel.read(stream)
+    if opcode == Opcode.METADATA:
+        return MetadataIndex(offset=offset, length=length, name=Metadata.read(stream).name)
+    if opcode == Opcode.ATTACHMENT:
+        attachment = Attachment.read(stream)
+        return AttachmentIndex(
+            offset=offset,
+            length=length,
+            log_time=attachment.log_time,
+            create_time=attachment.create_time,
+            data_size=len(attachment.data),
+            name=attachment.name,
+            media_type=attachment.media_type,
+        )
+    if opcode == Opcode.CHUNK:
+        chunk = Chunk.read(stream)
+        return ChunkIndex(
+            chunk_length=length,
+            chunk_start_offset=offset,
+            compression=chunk.compression,
+            compressed_size=len(chunk.data),
+            message_end_time=chunk.message_end_time,
+            message_index_length=0,
+            message_index_offsets={},
+            message_start_time=chunk.message_start_time,
+            uncompressed_size=chunk.uncompressed_size,
+        )
+    return None
+
+
+def _count(chunk: ChunkIndex, content: bytes | memoryview, counts: dict[int, int]) -> None:
+    """Note the channel of a chunk and, where messages have one size, how many it has."""
+    _, length, channel_id, *_ = HEADER.unpack_from(content)
+    messages = len(content) // (RECORD_PREFIX_BYTES + length)
+    counts[channel_id] = counts.get(channel_id, 0) + messages
+    chunk.message_index_offsets[channel_id] = 0  # all that a reader of ours asks for

@@ -2,23 +2,36 @@
 
 from __future__ import annotations
 
+import hashlib
 import os
+import struct
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from functools import cached_property
 from types import TracebackType
 from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
+from mcap.opcode import Opcode
 from mcap.records import ChunkIndex
 from numpy.typing import NDArray
 
 from hiersched.log.errors import LogError, reading
-from hiersched.log.events import Event, decode_events
-from hiersched.log.layout import RecordLayout, as_raw, raw_columns, record_layout
+from hiersched.log.events import Event, decode_events, encode_event
+from hiersched.log.layout import (
+    HEADER,
+    RECORD_PREFIX_BYTES,
+    RecordLayout,
+    TopicSchema,
+    as_raw,
+    find_message,
+    raw_columns,
+    record_layout,
+)
 from hiersched.log.logfile import LogFile
-from hiersched.log.schema import EVENTS_TOPIC, MODELS_TOPIC, TOPICS
+from hiersched.log.schema import EVENTS_TOPIC, MODELS_TOPIC, topics_in
 
-_OLDER_COMPACT = " (compact logs of earlier versions had more fields: they have to be written anew)"
+_TIMED = struct.Struct("<QI")  # log time [ns], bytes of the payload
 
 
 class TopicContent(NamedTuple):
@@ -32,7 +45,10 @@ class TopicContent(NamedTuple):
 
 
 class LogReader:
-    """A complete log of `LogWriter`; opening it checks it.
+    """A complete log; opening it checks it.
+
+    It is read by the schema in the file: logs of older and newer versions too. What fields they
+    have, `fields` says; those that this version does not know have shape (T, n).
 
     Parameters
     ----------
@@ -47,12 +63,8 @@ class LogReader:
     ----------
     metadata : dict of str
         What `LogWriter` was told about the run, and the dimensions.
-    dims : LogDims
-        Numbers of users and PRBs.
-    profile : str
-        ``full``, ``compact`` or ``decisions``.
-    slot_ns : int
-        Slot length [ns].
+    dims, profile, slot_ns : LogDims, str, int
+        As `LogWriter` had them.
     topics : tuple of str
         Topics that `read` knows; events have a method of their own.
     model_fields : tuple of ModelField
@@ -62,8 +74,7 @@ class LogReader:
     Raises
     ------
     LogError
-        If the file is not a complete and undamaged log of a schema version that we know. A file
-        that cannot be opened raises OSError.
+        If the file is not a complete and undamaged log; OSError if it cannot be opened.
     """
 
     def __init__(
@@ -82,52 +93,79 @@ class LogReader:
 
     @classmethod
     def of(cls, file: LogFile) -> Self:
-        """Read a file whose summary was put together by hand: for `recover` alone."""
+        """Read a file that is loaded, perhaps without its summary: for `recover` alone."""
         reader = cls.__new__(cls)
         reader._take(file)
         return reader
 
     def _take(self, file: LogFile) -> None:
-        """Lay out the records of each topic."""
         self._file = file
         self.path = file.path
-        self.metadata = file.metadata
+        self.metadata, self.library = file.metadata, file.library
         self.dims, self.profile, self.slot_ns = file.dims, file.profile, file.slot_ns
         self.model_fields = file.model_fields
+        self.topics = tuple(name for name in file.topics if name != EVENTS_TOPIC)
         self._layouts: dict[str, RecordLayout] = {}
-        for name, channel_id in file.channel_ids.items():
-            if name != EVENTS_TOPIC:
-                self._layouts[name] = record_layout(
-                    TOPICS[name], self.dims, self.profile, channel_id
-                )
-        self.topics = tuple(self._layouts)
 
     def _check_counts(self) -> None:
-        """Check that the messages of each topic fill its chunks."""
-        for name, layout in self._layouts.items():
-            itemsize = layout.dtype.itemsize
-            sizes = [chunk.uncompressed_size for chunk in self._file.chunks[name]]
-            if any(size % itemsize for size in sizes) or sum(sizes) != itemsize * self._count(name):
-                raise LogError(
-                    self.path,
-                    self._file.summary_start,
-                    f"the chunks of {name} have {sum(sizes)} bytes, "
-                    f"its {self._count(name)} messages of {itemsize} bytes need another number"
-                    + (_OLDER_COMPACT if self.profile == "compact" else ""),
+        """Check that the messages of each topic, all of one size, fill its chunks."""
+        for name in self.topics:
+            count = self._file.topics[name].num_messages
+            sizes = [chunk.uncompressed_size for chunk in self._file.topics[name].chunks]
+            record = sum(sizes) // count if count else 1
+            if record < 1 or record * count != sum(sizes) or any(size % record for size in sizes):
+                raise self._fail(
+                    f"the chunks of {name} have {sum(sizes)} bytes, which do not make {count} "
+                    "messages of one size"
                 )
 
-    def _count(self, name: str) -> int:
-        return self._file.message_counts[self._file.channel_ids[name]]
+    def _fail(self, what: str) -> LogError:
+        return LogError(self.path, self._file.summary_start, what)
 
     @property
     def num_slots(self) -> int:
         """Slots in the log."""
-        return self._count(self.topics[0])
+        return self._file.topics[self.topics[0]].num_messages if self.topics else 0
 
     @cached_property
     def attachments(self) -> dict[str, bytes]:
         """Attached files by name."""
         return {index.name: self._file.attachment(index) for index in self._file.attachment_indexes}
+
+    def fields(self, topic: str) -> tuple[str, ...]:
+        """Names of a topic's fields, without ``slot``, in the order of the file.
+
+        A topic without messages does not say which it has: none. LogError if there is no such
+        topic.
+        """
+        layout = self.layout(topic)
+        return tuple(layout.values) if layout else ()
+
+    def known_fields(self, topic: str) -> tuple[str, ...]:
+        """Those of `fields` that this version knows, in this type and size."""
+        layout = self.layout(topic)
+        return tuple(n for n in layout.values if n not in layout.unknown) if layout else ()
+
+    @property
+    def unknown_fields(self) -> tuple[str, ...]:
+        """The other fields of the log: ``/robots jerk``."""
+        return tuple(
+            f"{topic} {name}"
+            for topic in self.topics
+            for name in self.fields(topic)
+            if name not in self.known_fields(topic)
+        )
+
+    @property
+    def missing_fields(self) -> tuple[str, ...]:
+        """Fields that this version logs in this profile, and this log does not have."""
+        own = topics_in(self.profile, self.dims.num_model_values)
+        return tuple(
+            f"{name} {field.name}"
+            for name, topic in own.items()
+            for field in topic.fields_in(self.profile)
+            if self.num_slots and not (name in self.topics and field.name in self.fields(name))
+        )
 
     def read(
         self,
@@ -150,8 +188,8 @@ class LogReader:
         Returns
         -------
         dict of ndarray
-            Name -> values, shape (T, ...) with the shape of `TOPICS` behind T, and always
-            ``slot``, uint64, shape (T,). The arrays are the caller's own.
+            Name -> values, shape (T, ...) with the shape of the table of fields behind T, and
+            always ``slot``, uint64, shape (T,). The arrays are the caller's own.
 
         Raises
         ------
@@ -160,15 +198,17 @@ class LogReader:
         ValueError
             If the slots run backwards.
         """
-        layout = self._layout(topic)
-        names = self._wanted(topic, layout.values, fields)
+        layout = self.layout(topic)
+        names = self._wanted(topic, layout.values if layout else (), fields)
         start = 0 if start_slot is None else start_slot
         stop = 1 << 32 if stop_slot is None else stop_slot
         if not 0 <= start <= stop:
             raise ValueError(f"slots {start} to {stop}; allowed: 0 <= start_slot <= stop_slot")
+        if layout is None:
+            return {"slot": np.empty(0, np.uint64)}
         chunks = [
             chunk
-            for chunk in self._file.chunks[topic]
+            for chunk in self._file.topics[topic].chunks
             if chunk.message_end_time >= start * self.slot_ns
             and chunk.message_start_time < stop * self.slot_ns
         ]
@@ -201,21 +241,42 @@ class LogReader:
 
         Parameters and errors are those of `read`; the values have shape (T, count).
         """
-        read = self.read(MODELS_TOPIC, None, start_slot, stop_slot)
+        read = self.read(MODELS_TOPIC, ["model_values"], start_slot, stop_slot)
         places = {f.name: slice(f.start, f.start + f.count) for f in self.model_fields}
         names = self._wanted(MODELS_TOPIC, places, fields)
         cut = {name: read["model_values"][:, places[name]] for name in names}
         return {"slot": read["slot"], **cut}
 
-    def _layout(self, topic: str) -> RecordLayout:
-        if topic not in self._layouts:
-            raise LogError(
-                self.path,
-                self._file.summary_start,
-                f"there is no topic {topic!r} in this log of profile {self.profile}; "
-                f"allowed: {', '.join(self.topics)}",
+    def layout(self, topic: str) -> RecordLayout | None:
+        """Lay out a topic's messages by its schema and the first of them; None without messages."""
+        if topic not in self.topics:
+            raise self._fail(
+                f"there is no topic {topic!r} in this log of {self._kind}; "
+                f"allowed: {', '.join(self.topics)}"
             )
-        return self._layouts[topic]
+        index = self._file.topics[topic]
+        if topic not in self._layouts and index.chunks:
+            chunk = index.chunks[0]
+            data = self._file.chunk_data(chunk)
+            with reading(self.path, chunk.chunk_start_offset, f"a message of {topic}"):
+                opcode, length, channel_id, *_ = HEADER.unpack_from(data)
+                if (opcode, channel_id) != (Opcode.MESSAGE, index.schema.channel_id):
+                    raise ValueError(f"opcode {opcode}, channel {channel_id}")
+                record = bytes(data[: RECORD_PREFIX_BYTES + length])
+                message = find_message(index.schema.descriptors, index.schema.message)
+                self._layouts[topic] = record_layout(topic, message, self.dims, record)
+        return self._layouts.get(topic)
+
+    def schemas(self) -> dict[str, TopicSchema]:
+        """Schemas of all topics, events included, for a log that is to have the same."""
+        return {
+            name: replace(topic.schema, layout=None if name == EVENTS_TOPIC else self.layout(name))
+            for name, topic in self._file.topics.items()
+        }
+
+    @property
+    def _kind(self) -> str:
+        return f"profile {self.profile}, schema version {self.metadata['schema_version']}"
 
     def _wanted(self, topic: str, known: Iterable[str], fields: Iterable[str] | None) -> list[str]:
         """Names of the fields to read, in the order of the known ones, without ``slot``."""
@@ -225,17 +286,17 @@ class LogReader:
         wanted = {fields} if isinstance(fields, str) else set(fields)
         unknown = sorted(wanted - {*known, "slot"})
         if unknown:
-            raise LogError(
-                self.path,
-                self._file.summary_start,
-                f"{topic} has no field {', '.join(unknown)} in this log of profile "
-                f"{self.profile}; allowed: {', '.join(known)}",
+            raise self._fail(
+                f"{topic} has no field {', '.join(unknown)} in this log of {self._kind}; "
+                f"allowed: {', '.join(known)}"
             )
         return [name for name in known if name in wanted]
 
     def _rows(self, topic: str, chunk: ChunkIndex, layout: RecordLayout) -> NDArray[Any]:
         """Decode a chunk into message records, shape (T,), and check what must be constant."""
-        rows = np.frombuffer(self._file.chunk_data(chunk), layout.dtype)
+        data = self._file.chunk_data(chunk)
+        with reading(self.path, chunk.chunk_start_offset, f"a chunk of {topic}"):
+            rows = np.frombuffer(data, layout.dtype)
         for name in layout.constants:
             if not (rows[name] == layout.template[name]).all():
                 raise LogError(
@@ -247,49 +308,43 @@ class LogReader:
 
     def contents(self) -> list[TopicContent]:
         """Say what each topic takes, events included, in the order of their channels."""
-        file = self._file
         return [
             TopicContent(
-                topic,
-                file.message_counts[channel_id],
-                len(chunks := file.chunks[topic]),
-                sum(chunk.uncompressed_size for chunk in chunks),
-                sum(chunk.compressed_size for chunk in chunks),
+                name,
+                topic.num_messages,
+                len(topic.chunks),
+                sum(chunk.uncompressed_size for chunk in topic.chunks),
+                sum(chunk.compressed_size for chunk in topic.chunks),
             )
-            for topic, channel_id in file.channel_ids.items()
+            for name, topic in self._file.topics.items()
         ]
 
-    def records(self, topic: str) -> Iterator[NDArray[Any]]:
-        """Yield a topic's Message records as they lie in the file, one array a chunk.
-
-        Raises
-        ------
-        LogError
-            If the log has no such topic, or is damaged.
-        """
-        layout = self._layout(topic)
-        for chunk in self._file.chunks[topic]:
-            yield self._rows(topic, chunk, layout)
-
     def events(self) -> list[Event]:
-        """Read the events, by slot.
-
-        Returns
-        -------
-        list of Event
-            Events of one slot are in the order in which they were logged.
-
-        Raises
-        ------
-        LogError
-            If the log is damaged.
-        """
+        """Read the events, by slot; those of one slot in the order in which they were logged."""
         events: list[Event] = []
-        for chunk in self._file.chunks[EVENTS_TOPIC]:
+        for chunk in self._file.topics[EVENTS_TOPIC].chunks:
             data = self._file.chunk_data(chunk)
             with reading(self.path, chunk.chunk_start_offset, "an event"):
                 events += decode_events(bytes(data))
         return sorted(events, key=lambda event: event.slot)
+
+    def timed_payloads(self, topic: str) -> Iterator[bytes]:
+        """Yield the messages of a topic as `log_digest` takes them, many at once."""
+        if topic == EVENTS_TOPIC:
+            for event in self.events():
+                payload = encode_event(event, self.slot_ns, 0)[HEADER.size :]
+                yield _TIMED.pack(event.slot * self.slot_ns, len(payload)) + payload
+        elif (layout := self.layout(topic)) is not None:
+            raw = f"V{layout.dtype.itemsize - HEADER.size}"
+            whole = np.dtype([("header", f"V{HEADER.size}"), ("payload", raw)])
+            wanted = np.dtype([("time", "<u8"), ("length", "<u4"), ("payload", raw)])
+            for chunk in self._file.topics[topic].chunks:
+                rows = self._rows(topic, chunk, layout)
+                timed = np.empty(len(rows), wanted)
+                timed["time"] = rows["header:log_time"]
+                timed["length"] = wanted["payload"].itemsize
+                timed["payload"] = rows.view(whole)["payload"]
+                yield timed.tobytes()
 
     def close(self) -> None:
         """Close the file."""
@@ -305,3 +360,19 @@ class LogReader:
         traceback: TracebackType | None,
     ) -> None:
         self.close()
+
+
+def log_digest(path: str | os.PathLike[str]) -> str:
+    """Hash topic, time and payload of every message, whatever compression, chunks and metadata.
+
+    Topics come in the order of their names. Of each, the hash takes the name, a zero byte, and by
+    time, then in the order in which they were logged, its messages: log time (uint64), length of
+    the payload (uint32), both little-endian, and the payload. A topic without messages is left
+    out. So any MCAP library can compute it. Returns SHA-256, hexadecimal; LogError on damage.
+    """
+    digest = hashlib.sha256()
+    with LogReader(path) as log:
+        for topic in sorted([*log.topics, EVENTS_TOPIC]):
+            for number, messages in enumerate(log.timed_payloads(topic)):
+                digest.update(messages if number else topic.encode() + b"\0" + messages)
+    return digest.hexdigest()

@@ -18,24 +18,15 @@ from hiersched.log.reader import LogReader
 from hiersched.log.writer import LogWriter
 
 _BLOCK_SLOTS = 4096
-_OWN_KEYS = ("schema_version", "slot_ns", "num_urllc", "num_embb", "num_prb", "profile")
 
 
 @dataclass(frozen=True)
 class Recovery:
     """What `recover` did.
 
-    Attributes
-    ----------
-    path
-        The new log.
-    spans
-        First slot and slot behind the last, of each stretch that is in the new log.
-    num_events
-        Events in the new log.
-    losses
-        What could not be read or was left out, one line each; empty if nothing is missing but what
-        never reached the file.
+    `spans` are first slot and slot behind the last of each stretch that is in the new log, at
+    `path`, with `num_events` events. `losses` say what could not be read or was left out, one line
+    each: none if nothing is missing but what never reached the file.
     """
 
     path: Path
@@ -58,7 +49,8 @@ def recovered_path(path: Path) -> Path:
 def recover(path: str | os.PathLike[str], out: str | os.PathLike[str] | None = None) -> Recovery:
     """Write the slots of a damaged or unfinished log that are whole into a new log.
 
-    A slot is whole when its message is there on every topic of the log.
+    A slot is whole when its message is there on every topic of the log. The new log has the schema
+    of the old one, with all fields, also those that this version does not know.
 
     Parameters
     ----------
@@ -66,11 +58,6 @@ def recover(path: str | os.PathLike[str], out: str | os.PathLike[str] | None = N
         The log; it is not changed.
     out
         The new log, `recovered_path` unless given. It must not exist.
-
-    Returns
-    -------
-    Recovery
-        What is in the new log, and what is not.
 
     Raises
     ------
@@ -103,7 +90,7 @@ def _load(file: LogFile) -> list[str]:
     else:
         return []
     losses = file.load_without_summary()
-    if not any(chunks for chunks in file.chunks.values()):
+    if not any(topic.chunks for topic in file.topics.values()):
         losses.append(complaint)
     return [f"at byte {loss.offset}: {loss.what}" for loss in losses]
 
@@ -111,22 +98,19 @@ def _load(file: LogFile) -> list[str]:
 def _drop_unreadable(file: LogFile) -> list[str]:
     """Forget chunks and attachments that are damaged, and say which."""
     losses = []
-    for topic, chunks in file.chunks.items():
-        bad = []
-        for chunk in chunks:
+    for name, topic in file.topics.items():
+        for chunk in list(topic.chunks):
             try:
                 file.chunk_data(chunk)
             except LogError as error:
-                bad.append(chunk)
-                losses.append(f"at byte {error.offset}: {topic}: {error.what}{_span(file, chunk)}")
-        for chunk in bad:
-            chunks.remove(chunk)
+                topic.chunks.remove(chunk)
+                losses.append(f"at byte {error.offset}: {name}: {error.what}{_span(file, chunk)}")
     for index in list(file.attachment_indexes):
         try:
             file.attachment(index)
         except LogError as error:
-            losses.append(f"at byte {error.offset}: attachment {index.name}: {error.what}")
             file.attachment_indexes.remove(index)
+            losses.append(f"at byte {error.offset}: attachment {index.name}: {error.what}")
     return losses
 
 
@@ -144,14 +128,14 @@ def _rewrite(log: LogReader, target: Path, losses: list[str]) -> Recovery:
             losses.append(f"{topic}: {len(present) - len(whole)} slots that other topics lack")
     spans = _spans(whole)
     events = log.events()
-    metadata = {k: v for k, v in log.metadata.items() if k not in _OWN_KEYS}
     with LogWriter(
         target,
         log.dims,
         log.profile,
-        {**metadata, "recovered_losses": "; ".join(losses)},
-        {name: data for name, data in log.attachments.items() if name != "hiersched.proto"},
+        {**log.metadata, "recovered_losses": "; ".join(losses)},
+        log.attachments,
         slot_ns=log.slot_ns,
+        like=log,
     ) as writer:
         for start, stop in spans:
             for first in range(start, stop, _BLOCK_SLOTS):
@@ -162,7 +146,7 @@ def _rewrite(log: LogReader, target: Path, losses: list[str]) -> Recovery:
                 del fields["slot"]
                 writer.write_block(first, fields)
         for event in events:
-            writer.event(event.slot, event.level, event.name, event.message)
+            writer.event(*event)
     return Recovery(target, spans, len(events), tuple(losses))
 
 

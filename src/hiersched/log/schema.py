@@ -1,62 +1,50 @@
-"""What the log contains: topics and fields.
+"""The schema of logs, from the table of fields: topics, descriptors, `.proto` text, documentation.
 
-The table `TOPICS` mirrors ``hiersched.proto``. All fields have a fixed size once the numbers of
-users, robots and PRBs are known.
-
-The compiled schemas lie beside the ``.proto`` files. After a change, in this directory::
-
-    python -m grpc_tools.protoc -I . --include_imports --descriptor_set_out=hiersched.binpb \
-        hiersched.proto
-    python -m grpc_tools.protoc -I . --include_imports --descriptor_set_out=foxglove/Log.binpb \
-        foxglove/Log.proto
+Integers are fixed32 and fixed64, never varints, and every field is written even when it is zero:
+all messages of a topic in one file have one size, so that blocks of them are arrays.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
-from importlib.resources import files
 from types import MappingProxyType
-from typing import Any, Literal, get_args
+from typing import Any
 
-import numpy as np
-from google.protobuf.descriptor_pb2 import DescriptorProto, FileDescriptorSet
-from google.protobuf.message import DecodeError
+from google.protobuf.descriptor_pb2 import (
+    FieldDescriptorProto,
+    FileDescriptorProto,
+    FileDescriptorSet,
+)
+from google.protobuf.descriptor_pool import DescriptorPool
+from google.protobuf.message_factory import GetMessageClass
 
-SCHEMA_VERSION = 1
+from hiersched.core.fields import FIELDS, LETTERS, TOPIC_MEANINGS, Field
+
+SCHEMA_VERSION = 1  # for people: readers go by the descriptors in a file
 LIBRARY = f"hiersched-log/{SCHEMA_VERSION}"  # fixed: a version of NumPy or mcap would change bytes
 METADATA_NAME = "hiersched"
-EVENTS_TOPIC = "/events"
 MODEL_FIELDS = "model_fields"  # key of the metadata: what the numbers of models are
 MODELS_TOPIC = "/models"  # the one topic that only some scenarios have
-EVENTS_SCHEMA = "foxglove.Log"
+EVENTS_TOPIC = "/events"
+EVENTS_SCHEMA = "foxglove.Log"  # a message that viewers know; of its fields we write the first four
+LEVELS = ("UNKNOWN", "DEBUG", "INFO", "WARNING", "ERROR", "FATAL")
 
-Profile = Literal["full", "compact", "decisions", "robots"]
-PROFILES: tuple[str, ...] = get_args(Profile)
-
-# Which profiles contain a field. Whatever a smaller one leaves out, replay computes again.
-_DECISIONS = ("full", "compact", "decisions")
-_FULL = ("full",)
-_COMPACT = ("full", "compact")  # what the study reads of a run, besides the decisions
-_ROBOTS = ("full", "compact", "robots")  # what the study reads of robots that run alone
-_SUMS = ("decisions",)  # of slices, in place of the users' numbers
+_LEVEL = "foxglove.Log.Level"
+_TIME = "google.protobuf.Timestamp"
+_TIME_FILE = "google/protobuf/timestamp.proto"
+_PROTO_TYPES = {"<f8": "double", "<f4": "float", "<u4": "fixed32", "<u8": "fixed64"}
 
 
 @dataclass(frozen=True, kw_only=True)
 class LogDims:
     """Dimensions that fix the size of every message.
 
-    Parameters
-    ----------
-    num_urllc, num_embb
-        Numbers of users of each slice; every URLLC user drives one robot.
-    num_prb
-        Number of physical resource blocks.
-    num_states, num_inputs, num_normals
-        Of every robot, by default a unicycle: states, inputs, standard normals a slot.
-    num_model_values
-        Numbers that the models add.
+    Numbers of users of each slice, where every URLLC user drives one robot, and of physical
+    resource blocks; of every robot, by default a unicycle, those of states, inputs and standard
+    normals a slot; and the number of numbers that models add.
     """
 
     num_urllc: int
@@ -83,10 +71,7 @@ class LogDims:
 
     @property
     def sizes(self) -> dict[str, int]:
-        """Sizes by the letters of the table of fields.
-
-        U users, R robots, K PRBs; of a robot N states, M inputs, W normals; X numbers of models.
-        """
+        """Sizes by the letters of shapes."""
         return {
             "U": self.num_urllc + self.num_embb,
             "R": self.num_urllc,
@@ -98,149 +83,33 @@ class LogDims:
         }
 
 
-@dataclass(frozen=True)
-class Field:
-    """One protobuf field of fixed size.
-
-    Parameters
-    ----------
-    name, number
-        As in ``hiersched.proto``.
-    dtype
-        Little-endian NumPy type: ``<f8`` double, ``<f4`` float, ``<u4`` fixed32, ``<u8`` fixed64.
-    shape
-        Of one slot's value, in the letters of `LogDims.sizes` and numbers; ``()`` is a scalar, all
-        else is packed.
-    profiles
-        Those that contain it.
-    """
-
-    name: str
-    number: int
-    dtype: str
-    shape: tuple[str | int, ...]
-    profiles: tuple[str, ...] = _DECISIONS
-
-    def concrete_shape(self, dims: LogDims) -> tuple[int, ...]:
-        """Shape of one slot's value for given dimensions."""
-        return tuple(dims.sizes[n] if isinstance(n, str) else n for n in self.shape)
-
-    def prefix(self, dims: LogDims) -> bytes:
-        """Protobuf tag, and for packed fields the length in bytes, that precede the value."""
-        itemsize = np.dtype(self.dtype).itemsize
-        if self.shape == ():
-            return _varint(self.number << 3 | (1 if itemsize == 8 else 5))
-        nbytes = itemsize * int(np.prod(self.concrete_shape(dims)))
-        return _varint(self.number << 3 | 2) + _varint(nbytes)
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Topic:
-    """A topic of the log.
-
-    Parameters
-    ----------
-    name, message
-        MCAP topic and protobuf message.
-    fields
-        Its fields, `slot` first.
-    stored
-        Never compressed: random numbers, of which zstd saves 10 % for a quarter of the writer's
-        time and a third of the reader's.
-    """
+    """A topic of the log: its name, its protobuf message and its fields, without `slot`."""
 
     name: str
     message: str
     fields: tuple[Field, ...]
-    stored: bool = False
 
     def fields_in(self, profile: str) -> tuple[Field, ...]:
-        """Fields that a profile contains, `slot` first; empty when it leaves the topic out."""
-        if profile not in PROFILES:
-            raise ValueError(f"profile is {profile!r}; allowed: {', '.join(PROFILES)}")
-        slot, *others = (field for field in self.fields if profile in field.profiles)
-        return (slot, *others) if others else ()
+        """Fields that a profile contains."""
+        return tuple(field for field in self.fields if profile in field.profiles)
 
 
-def _topic(name: str, *fields: tuple[Any, ...], stored: bool = False) -> tuple[str, Topic]:
-    """Entry of the table: fields are numbered in order, after `slot` = 1."""
-    numbered = [Field("slot", 1, "<u8", (), PROFILES)]
-    numbered += [Field(f[0], i, *f[1:]) for i, f in enumerate(fields, start=2)]
-    message = "hiersched." + name.removeprefix("/").capitalize()
-    return name, Topic(name, message, tuple(numbered), stored)
-
-
-TOPICS: Mapping[str, Topic] = MappingProxyType(
-    dict(
-        [
-            _topic(
-                "/channel",
-                ("fading_power", "<f4", ("U", "K"), _FULL),
-                ("mean_fading_power", "<f4", ("U",), _COMPACT),
-                stored=True,
-            ),
-            _topic(
-                "/world",
-                ("arrival_uniform", "<f8", ("U",), _FULL),
-                ("robot_normal", "<f4", ("R", "W"), _FULL),
-                stored=True,
-            ),
-            _topic(
-                "/allocation",
-                ("prb_owner", "<u4", ("K",)),
-                ("num_prb", "<u4", ("U",), _COMPACT),
-                ("rate_mbps", "<f8", ("U",), _COMPACT),
-                ("weight", "<f4", ("U",), _COMPACT),
-            ),
-            _topic(
-                "/queue",
-                ("backlog_packets", "<f8", ("U",), _COMPACT),
-                ("arrivals_packets", "<u4", ("U",), _COMPACT),
-                ("service_packets", "<f8", ("U",), _COMPACT),
-                ("average_rate_mbps", "<f8", ("U",), _FULL),
-            ),
-            _topic(
-                "/delay",
-                ("hol_delay_s", "<f8", ("U",), _FULL),
-                ("delay_s", "<f8", ("U",), _FULL),
-                ("due_packets", "<u4", ("U",), _COMPACT),
-                ("late_packets", "<u4", ("U",), _COMPACT),
-                ("arrival_clamped", "<u4", ("U",), _COMPACT),
-                ("multiplier", "<f8", ("R",)),
-                ("constraint", "<f8", ("R",), _FULL),
-                ("drift_urllc", "<f8", (), _COMPACT),
-                ("drift_embb", "<f8", (), _COMPACT),
-                ("penalty_urllc", "<f8", (), _COMPACT),
-                ("penalty_embb", "<f8", (), _COMPACT),
-                ("reward_urllc", "<f8", ()),
-                ("reward_embb", "<f8", ()),
-            ),
-            _topic(
-                "/robots",
-                ("network_delay_s", "<f8", ("R",), _FULL),
-                ("delay_steps", "<u4", ("R",), _ROBOTS),
-                ("delay_capped", "<u4", ("R",), _ROBOTS),
-                ("gain_delay_steps", "<u4", ("R",), _FULL),
-                ("state", "<f8", ("R", "N"), _FULL),
-                ("reference", "<f8", ("R", 5), _FULL),
-                ("control", "<f8", ("R", "M"), _FULL),
-                ("control_saturated", "<u4", ("R",), _ROBOTS),
-                ("tracking_error_m", "<f8", ("R",), _ROBOTS),
-                ("dexterity_index", "<f8", ("R",), _ROBOTS),
-            ),
-            _topic(
-                "/slices",
-                ("backlog_urllc_packets", "<f8", (), _SUMS),
-                ("backlog_embb_packets", "<f8", (), _SUMS),
-                ("due_urllc_packets", "<u4", (), _SUMS),
-                ("due_embb_packets", "<u4", (), _SUMS),
-                ("late_urllc_packets", "<u4", (), _SUMS),
-                ("late_embb_packets", "<u4", (), _SUMS),
-            ),
-            _topic(MODELS_TOPIC, ("model_values", "<f8", ("X",), _COMPACT)),
-        ]
+def topics_of(fields: Iterable[Field]) -> Mapping[str, Topic]:
+    """Sort a table of fields by topic."""
+    topics: dict[str, tuple[Field, ...]] = {}
+    for field in fields:
+        topics[field.topic] = (*topics.get(field.topic, ()), field)
+    return MappingProxyType(
+        {
+            name: Topic(name, f"hiersched.{name.removeprefix('/').capitalize()}", own)
+            for name, own in topics.items()
+        }
     )
-)
+
+
+TOPICS = topics_of(FIELDS)
 
 
 def topics_in(profile: str, num_model_values: int = 0) -> dict[str, Topic]:
@@ -252,55 +121,112 @@ def topics_in(profile: str, num_model_values: int = 0) -> dict[str, Topic]:
     }
 
 
-def channel_ids(profile: str, num_model_values: int = 0) -> dict[str, int]:
-    """MCAP channel (and schema) id of each topic of a log, `/events` last."""
-    names = [*topics_in(profile, num_model_values), EVENTS_TOPIC]
-    return {name: i for i, name in enumerate(names, start=1)}
+def _declarations(topic: Topic) -> list[str]:
+    """Fields of a topic's message, ``repeated double state``, in the order of their numbers."""
+    return ["fixed64 slot"] + [
+        f"{'repeated ' if field.shape else ''}{_PROTO_TYPES[field.dtype]} {field.name}"
+        for field in topic.fields
+    ]
 
 
-@cache
-def descriptor_set(message: str) -> bytes:
-    """Return the serialised FileDescriptorSet that describes a message, dependencies included."""
-    name = "foxglove/Log.binpb" if message == EVENTS_SCHEMA else "hiersched.binpb"
-    return files(__package__).joinpath(name).read_bytes()
+def describe(path: str, messages: Mapping[str, Iterable[str]]) -> bytes:
+    """Serialise the FileDescriptorSet of messages, dependencies included, as protoc does.
 
-
-@cache
-def describes(descriptors: bytes, message: str) -> bool:
-    """Say whether a serialised FileDescriptorSet describes a message as ours does.
-
-    Other messages in it do not matter: sets of older versions lack topics that came later.
+    `path` names the `.proto` file that would have them. `messages` maps full names, of one package,
+    to fields, numbered in order: ``repeated double state``; types that are messages by full names.
     """
-    if descriptors == descriptor_set(message):
-        return True
-    try:
-        given = FileDescriptorSet.FromString(descriptors)
-    except DecodeError:
-        return False
-    ours = FileDescriptorSet.FromString(descriptor_set(message))
-    return (own := _named(ours, message)) is not None and own == _named(given, message)
+    (package,) = {name.rpartition(".")[0] for name in messages}
+    file = FileDescriptorProto(name=path, package=package, syntax="proto3")
+    files = [file]
+    for full_name, fields in messages.items():
+        message = file.message_type.add(name=full_name.rpartition(".")[2])
+        for number, declaration in enumerate(fields, start=1):
+            *repeated, kind, name = declaration.split()
+            field = message.field.add(name=name, number=number)
+            field.json_name = re.sub("_(.)", lambda match: match[1].upper(), name)
+            field.label = field.LABEL_REPEATED if repeated else field.LABEL_OPTIONAL
+            own = "ENUM" if kind == _LEVEL else "MESSAGE" if "." in kind else kind.upper()
+            field.type = FieldDescriptorProto.Type.Value(f"TYPE_{own}")
+            if "." in kind:
+                field.type_name = f".{kind}"
+            if kind == _LEVEL:
+                levels = message.enum_type.add(name="Level").value
+                for value, level in enumerate(LEVELS):
+                    levels.add(name=level, number=value)
+            if kind == _TIME and not file.dependency:
+                file.dependency.append(_TIME_FILE)
+                time = describe(_TIME_FILE, {_TIME: ("int64 seconds", "int32 nanos")})
+                files = [*FileDescriptorSet.FromString(time).file, file]
+    return FileDescriptorSet(file=files).SerializeToString(deterministic=True)
 
 
-def _named(descriptors: FileDescriptorSet, message: str) -> DescriptorProto | None:
-    """Find a message by its full name."""
-    for file in descriptors.file:
-        for entry in file.message_type:
-            if f"{file.package}.{entry.name}" == message:
-                return entry
-    return None
+def descriptors() -> bytes:
+    """Return the serialised FileDescriptorSet of the messages of all `TOPICS`."""
+    return _describe_topics(tuple(TOPICS.values()))
 
 
 @cache
-def proto_source() -> bytes:
-    """Return the text of ``hiersched.proto``, which every log carries as an attachment."""
-    return files(__package__).joinpath("hiersched.proto").read_bytes()
+def _describe_topics(topics: tuple[Topic, ...]) -> bytes:
+    return describe("hiersched.proto", {t.message: _declarations(t) for t in topics})
 
 
-def _varint(value: int) -> bytes:
-    """Protobuf's base-128 encoding of a non-negative integer."""
-    out = bytearray()
-    while value > 0x7F:
-        out.append(value & 0x7F | 0x80)
-        value >>= 7
-    out.append(value)
-    return bytes(out)
+@cache
+def event_descriptors() -> bytes:
+    """Return the serialised FileDescriptorSet of `foxglove.Log`, numbered as in public."""
+    fields = f"{_TIME} timestamp", f"{_LEVEL} level", "string message", "string name"
+    return describe("foxglove/Log.proto", {EVENTS_SCHEMA: (*fields, "string file", "fixed32 line")})
+
+
+@cache
+def message_class(descriptor_set: bytes, name: str) -> Any:
+    """Protobuf class of a message of a serialised FileDescriptorSet."""
+    pool = DescriptorPool()  # of its own: a viewer may know other versions of the same messages
+    for file in FileDescriptorSet.FromString(descriptor_set).file:
+        pool.Add(file)
+    return GetMessageClass(pool.FindMessageTypeByName(name))
+
+
+def proto_source() -> str:
+    """Text of ``hiersched.proto``, which every log carries as an attachment."""
+    return _proto_source(tuple(TOPICS.values()))
+
+
+@cache
+def _proto_source(topics: tuple[Topic, ...]) -> str:
+    lines = [
+        "// What hiersched logs about one slot: one message per topic and slot.",
+        "//",
+        f"// Schema version {SCHEMA_VERSION}. Shapes, in brackets: "
+        + ", ".join(f"{letter} {meaning}" for letter, meaning in LETTERS.items())
+        + ".",
+        "// Arrays are row-major; the metadata record has the sizes. Every field is written, even",
+        "// if it is zero. Behind the meaning stand the profiles of logs that contain a field.",
+        "",
+        'syntax = "proto3";',
+        "",
+        "package hiersched;",
+    ]
+    for topic in topics:
+        lines += ["", f"// {topic.name}: {TOPIC_MEANINGS.get(topic.name, '')}"]
+        lines.append(f"message {topic.message.rpartition('.')[2]} {{")
+        notes = ["number of the slot", *map(_note, topic.fields)]
+        for number, (text, note) in enumerate(zip(_declarations(topic), notes, strict=True), 1):
+            lines.append(f"  {text} = {number};  // {note}")
+        lines.append("}")
+    return "\n".join([*lines, ""])
+
+
+def _note(field: Field) -> str:
+    shape = " ".join(map(str, field.shape))
+    return f"({shape}) [{field.unit}] {field.meaning}; {', '.join(field.profiles)}"
+
+
+def field_table() -> str:
+    """Markdown table of all fields, for the documentation."""
+    rows = [("topic", "field", "type", "shape", "unit", "profiles", "meaning"), ("---",) * 7]
+    for field in (field for topic in TOPICS.values() for field in topic.fields):
+        shape = " ".join(map(str, field.shape))
+        names = f"`{field.topic}`", f"`{field.name}`", _PROTO_TYPES[field.dtype]
+        meaning = field.meaning.replace("|", r"\|")
+        rows.append((*names, shape, field.unit, ", ".join(field.profiles), meaning))
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows) + "\n"

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict
 
-from hiersched.core.model_fields import ModelField
+from hiersched.core.fields import ModelField
 from hiersched.core.parameters import STRICT, Note
 from hiersched.core.registry import PluginError, Registry
 from hiersched.models.plant.feedback import LoopMemory, loop_memory

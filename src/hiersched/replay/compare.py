@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.log import TOPICS, LogError, LogReader
+from hiersched.log import LogError, LogReader
 from hiersched.replay.measures import batch_means
 from hiersched.study.statistics import Interval, paired_difference
 
@@ -39,20 +40,10 @@ class Parting:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two runs in the same world.
+    """Two runs in the same world: names of the policies, slots that both logs have.
 
-    Attributes
-    ----------
-    baseline, other
-        Policies.
-    num_slots
-        Slots that both logs have.
-    num_batches
-        Stretches of time that the intervals are over.
-    measures
-        Differences, other - baseline.
-    partings
-        Topics that differ; empty if the logs say the same.
+    `num_batches` stretches of time are what the intervals are over; `measures` are differences,
+    other - baseline; `partings` are topics that differ, none if the logs say the same.
     """
 
     baseline: str
@@ -69,12 +60,7 @@ def compare_logs(baseline: str | os.PathLike[str], other: str | os.PathLike[str]
     The runs share the world, so differences are paired: both are averaged over the same stretches
     of time, at most `MOST_BATCHES`, and the interval is Student's t over these stretches, which are
     long enough to forget each other only if the run is. It says how sure the difference is in this
-    world; other worlds need other seeds.
-
-    Parameters
-    ----------
-    baseline, other
-        Logs.
+    world; other worlds need other seeds. What only one of the logs has is left out.
 
     Raises
     ------
@@ -90,7 +76,7 @@ def compare_logs(baseline: str | os.PathLike[str], other: str | os.PathLike[str]
             for name, unit, x in batch_means(a, count, batches)
             if (y := others.get(name)) is not None  # their profiles may differ
         ]
-        partings = [p for topic in TOPICS if (p := _parting(a, b, topic, count)) is not None]
+        partings = [p for topic in a.topics if (p := _parting(a, b, topic, count)) is not None]
         return Comparison(
             baseline=a.metadata.get("policy", ""),
             other=b.metadata.get("policy", ""),
@@ -111,50 +97,54 @@ def _check_same_world(a: LogReader, b: LogReader) -> int:
             raise LogError(
                 b.path, 0, f"{name} is {getattr(b, name)}, but {getattr(a, name)} in {a.path}"
             )
-    for name in ("stage", "seed"):
-        texts = [log.metadata.get(name) for log in (b, a)]
-        has_world = "/channel" in a.topics and "/channel" in b.topics
-        if texts[0] != texts[1] and not (has_world and None in texts):
-            raise LogError(
-                b.path,
-                0,
-                f"this is another world than that of {a.path}: {name} is {texts[0]}, not "
-                f"{texts[1]}, so the runs cannot be paired",
-            )
     count = min(a.num_slots, b.num_slots)
     if not count:
         raise LogError(b.path if a.num_slots else a.path, 0, "the log has no slots")
-    for topic, names in (("/channel", ["mean_fading_power"]), ("/world", None)):
-        if topic in a.topics and topic in b.topics:
-            first, second = (log.read(topic, names, 0, None) for log in (a, b))
-            for name, values in first.items():
-                differs = _differs(values[:count], second[name][:count])
-                if differs.any():
-                    slot = int(first["slot"][differs.argmax()])
-                    raise LogError(
-                        b.path,
-                        0,
-                        f"this is another world than that of {a.path}: {topic} {name} differs "
-                        f"from slot {slot} on, so the runs cannot be paired",
-                    )
+    channel = _shared(a, b, "/channel", count, ["mean_fading_power"])
+
+    def fail(what: str) -> LogError:
+        text = f"this is another world than that of {a.path}: {what}, so the runs cannot be paired"
+        return LogError(b.path, 0, text)
+
+    for name in ("stage", "seed"):
+        own, other = (log.metadata.get(name) for log in (a, b))
+        if own != other and not ("mean_fading_power" in channel and None in (own, other)):
+            raise fail(f"{name} is {other}, not {own}")
+    for topic, fields in (("/channel", channel), ("/world", _shared(a, b, "/world", count))):
+        for name, pair in fields.items():
+            if (differs := _differs(*pair)).any():
+                slot = int(fields["slot"][0][differs.argmax()])
+                raise fail(f"{topic} {name} differs from slot {slot} on")
     return count
 
 
+def _shared(
+    a: LogReader, b: LogReader, topic: str, count: int, only: Sequence[str] | None = None
+) -> dict[str, tuple[NDArray[Any], NDArray[Any]]]:
+    """First slots of a topic, by the names of the fields that both logs have, `slot` among them."""
+    if topic not in a.topics or topic not in b.topics:
+        return {}
+    names = set(a.fields(topic)) & set(b.fields(topic))
+    names = names if only is None else names & set(only)
+    first, second = a.read(topic, names), b.read(topic, names)
+    return {name: (values[:count], second[name][:count]) for name, values in first.items()}
+
+
 def _differs(a: NDArray[Any], b: NDArray[Any]) -> NDArray[np.bool_]:
-    """Slots in which any bit differs, shape (T,)."""
+    """Slots in which any bit differs, shape (T,): all, where logs have other types or sizes."""
+    if (a.dtype, a.shape) != (b.dtype, b.shape):
+        return np.ones(len(a), np.bool_)
     bits = [np.ascontiguousarray(values).view(f"u{values.itemsize}") for values in (a, b)]
     differs: NDArray[np.bool_] = (bits[0] != bits[1]).reshape(len(a), -1).any(axis=1)
     return differs
 
 
 def _parting(a: LogReader, b: LogReader, topic: str, count: int) -> Parting | None:
-    """Where a topic that both logs have begins to differ."""
-    if topic not in a.topics or topic not in b.topics:
-        return None
-    first, second = a.read(topic), b.read(topic)
+    """Where a topic begins to differ, in the fields that both logs have."""
+    fields = _shared(a, b, topic, count)
     differs = np.zeros(count, np.bool_)
-    for name in first.keys() & second.keys():
-        differs |= _differs(first[name][:count], second[name][:count])
+    for pair in fields.values():
+        differs |= _differs(*pair)
     if not differs.any():
         return None
-    return Parting(topic, int(first["slot"][differs.argmax()]), int(differs.sum()))
+    return Parting(topic, int(fields["slot"][0][differs.argmax()]), int(differs.sum()))

@@ -8,18 +8,15 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
 from numpy.typing import NDArray
 
+from hiersched.experiments.logged import BATCH_SLOTS, LoggedRun
+from hiersched.experiments.logging import RunLabel, log_block, open_log
 from hiersched.experiments.worlds import RunnablePolicy, untrained_policies
 from hiersched.log import LogError
 from hiersched.policies.find import untrained_names
-from hiersched.runs.logged import LoggedRun
-from hiersched.runs.logging import RunLabel, log_block, open_log
 from hiersched.simulator import Simulator
 from hiersched.simulator.simulator import AnyPolicy
-
-_BATCH_SLOTS = 8192
 
 
 class NamedPolicy(NamedTuple):
@@ -32,13 +29,8 @@ class NamedPolicy(NamedTuple):
 def policy_of(run: LoggedRun, policy: str) -> NamedPolicy:
     """Find a policy for the world of a log.
 
-    Parameters
-    ----------
-    run
-        The log's run.
-    policy
-        Name of a policy that needs no training, the name of the log's own learned policy, whose
-        weights are attached to it, or a file of weights.
+    `policy` is the name of one that needs no training, that of the log's own learned policy, whose
+    weights are attached to it, or a file of weights.
 
     Raises
     ------
@@ -94,18 +86,9 @@ def _trained(run: LoggedRun, weights: bytes) -> NamedPolicy:
 
 
 def rerun(run: LoggedRun, policy: NamedPolicy, out: str | os.PathLike[str]) -> None:
-    """Run another policy in the world of a log, and log it as the stage would have.
+    """Run a policy in the world of a log, and log it to `out` as the stage would have.
 
     With the log's own policy the new log has the digest of the old one.
-
-    Parameters
-    ----------
-    run
-        The log's run.
-    policy
-        From `policy_of`.
-    out
-        The log to be.
     """
     label = RunLabel(
         stage=run.stage,
@@ -133,19 +116,12 @@ def rerun(run: LoggedRun, policy: NamedPolicy, out: str | os.PathLike[str]) -> N
 
 def _episodes(run: LoggedRun, policy: AnyPolicy) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
     """Run the episodes; yield the first slot of each and its fields (T, ...)."""
-    if len(run.keys) == 1:
-        yield 0, _simulator(run, run.keys, run.num_slots).run(policy).environment(0)
-        return
-    at_once = max(1, _BATCH_SLOTS // run.episode_slots)
+    at_once = max(1, BATCH_SLOTS // run.episode_slots)
     for start in range(0, len(run.keys), at_once):
         keys = run.keys[start : start + at_once]
-        record = _simulator(run, keys, run.episode_slots).run(policy)
+        record = Simulator(run.scenario, run.gains, keys, run.episode_slots).run(policy)
         for env in range(len(keys)):
             first = (start + env) * run.episode_slots
             count = min(run.episode_slots, run.num_slots - first)
             fields = record.environment(env)
             yield first, {name: values[:count] for name, values in fields.items()}
-
-
-def _simulator(run: LoggedRun, keys: NDArray[np.uint64], num_slots: int) -> Simulator:
-    return Simulator(run.scenario, run.gains, keys, num_slots)

@@ -2,31 +2,50 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.log import TOPICS, LogReader
+from hiersched.log import LogReader
 
 FloatArray = NDArray[np.float64]
 
-_SLICE_KINDS = ("due", "late", "backlog")
+_USER_FIELDS = {
+    "due": "due_packets",
+    "late": "late_packets",
+    "rate": "rate_mbps",
+    "backlog": "backlog_packets",
+    "wait": "hol_delay_s",
+}
+_SLICE_FIELDS = {
+    "due": "due_{}_packets",
+    "late": "late_{}_packets",
+    "backlog": "backlog_{}_packets",
+    "reward": "reward_{}",
+}
+_SLICE_MEASURES = (
+    ("late", "late packets", "%", 100.0),
+    ("rate", "rate", "Mbit/s", 1.0),
+    ("backlog", "backlog", "packets", 1.0),
+    ("wait", "wait", "ms", 1e3),
+    ("reward", "reward", "", 1.0),
+)
 _ROBOT_MEASURES = (
     ("network_delay_s", "network delay", "ms", 1e3),
     ("tracking_error_m", "tracking error", "cm", 100.0),
     ("dexterity_index", "dexterity index", "", 1.0),
 )
 _WANTED = {
-    *("rate_mbps", "hol_delay_s", "reward_urllc", "reward_embb"),
-    *(f"{kind}_packets" for kind in _SLICE_KINDS),
-    *(f"{kind}_{name}_packets" for kind in _SLICE_KINDS for name in ("urllc", "embb")),
+    *_USER_FIELDS.values(),
+    *(name.format(part) for name in _SLICE_FIELDS.values() for part in ("urllc", "embb")),
     *(field for field, *_ in _ROBOT_MEASURES),
 }
 
 
 def batch_means(log: LogReader, count: int, batches: int) -> list[tuple[str, str, FloatArray]]:
-    """Average what matters over stretches of time, as far as the log's profile has it.
+    """Average what matters over stretches of time, as far as the log has it.
 
     Parameters
     ----------
@@ -43,52 +62,44 @@ def batch_means(log: LogReader, count: int, batches: int) -> list[tuple[str, str
         Name, unit and the mean of each stretch, shape (batches,). Late packets are over those that
         were due in the whole run, so that the mean over stretches is the share of the run.
     """
-    fields = {name: values[:count] for name, values in _read(log).items()}
     cut = np.linspace(0, count, batches + 1).astype(np.intp)
     length = np.diff(cut)
-    n = log.dims.num_urllc
 
     def mean(values: NDArray[Any]) -> FloatArray:
-        per_slot = values.reshape(count, -1).mean(axis=1, dtype=np.float64)
+        per_slot = values[:count].reshape(count, -1).mean(axis=1, dtype=np.float64)
         means: FloatArray = np.add.reduceat(per_slot, cut[:-1]) / length
         return means
 
-    def late(due: NDArray[np.uint32], packets: NDArray[np.uint32]) -> FloatArray:
-        # Over the due packets of the whole run: a batch without any counts as one without late.
-        overall = float((mean(due) * length).sum() / count)
-        share = mean(packets) / (overall or np.nan)
-        return 100.0 * share
-
     found = []
-    for name, users in (("URLLC", slice(0, n)), ("eMBB", slice(n, n + log.dims.num_embb))):
-        if users.start == users.stop:
-            continue
-        due, packets, backlog = (_of_slice(fields, k, name, users) for k in _SLICE_KINDS)
-        found.append((f"{name} late packets", "%", late(due, packets)))
-        if "rate_mbps" in fields:
-            found.append((f"{name} rate", "Mbit/s", mean(fields["rate_mbps"][:, users])))
-        found.append((f"{name} backlog", "packets", mean(backlog)))
-        if "hol_delay_s" in fields:
-            found.append((f"{name} wait", "ms", 1e3 * mean(fields["hol_delay_s"][:, users])))
-        found.append((f"{name} reward", "", mean(fields[f"reward_{name.lower()}"])))
-    for field, name, unit, scale in _ROBOT_MEASURES:
-        if n and field in fields:
-            found.append((name, unit, scale * mean(fields[field])))
+    for name, unit, scale, values, due in _series(log):
+        means = mean(values)
+        if due is not None:
+            # Over the due packets of the whole run: a batch without any counts as one without late.
+            overall = float((mean(due) * length).sum() / count)
+            means = means / (overall or np.nan)
+        found.append((name, unit, scale * means))
     return found
 
 
-def _read(log: LogReader) -> dict[str, NDArray[Any]]:
-    """Read the fields that count, of those that the log has."""
+def _series(
+    log: LogReader,
+) -> Iterator[tuple[str, str, float, NDArray[Any], NDArray[Any] | None]]:
+    """Yield name, unit, scale, values (T, ...) and, of shares, what they are shares of."""
     fields: dict[str, NDArray[Any]] = {}
     for topic in log.topics:
-        names = {field.name for field in TOPICS[topic].fields_in(log.profile)}
-        if wanted := names & _WANTED:
+        if wanted := _WANTED.intersection(log.known_fields(topic)):
             fields |= log.read(topic, wanted)
-    return fields
-
-
-def _of_slice(fields: dict[str, NDArray[Any]], kind: str, name: str, users: slice) -> NDArray[Any]:
-    """Numbers of a slice's users, or those of the slice where the log has no others."""
-    if f"{kind}_packets" in fields:
-        return fields[f"{kind}_packets"][:, users]
-    return fields[f"{kind}_{name.lower()}_packets"]
+    n = log.dims.num_urllc
+    for name, users in (("URLLC", slice(0, n)), ("eMBB", slice(n, n + log.dims.num_embb))):
+        if users.start == users.stop:
+            continue
+        # The users' own numbers go before sums of the slice.
+        names = {key: field.format(name.lower()) for key, field in _SLICE_FIELDS.items()}
+        own = {key: fields[f] for key, f in names.items() if f in fields}
+        own |= {key: fields[f][:, users] for key, f in _USER_FIELDS.items() if f in fields}
+        for key, what, unit, scale in _SLICE_MEASURES:
+            if key in own and (key != "late" or "due" in own):
+                yield f"{name} {what}", unit, scale, own[key], own["due"] if key == "late" else None
+    for field, name, unit, scale in _ROBOT_MEASURES:
+        if n and field in fields:
+            yield name, unit, scale, fields[field], None

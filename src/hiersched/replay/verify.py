@@ -1,50 +1,40 @@
-"""Computes a log again, slot by slot, and compares every bit."""
+"""Computes a log again, slot by slot, compares every bit, and writes all that it left out."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.core.model_fields import element_name
+from hiersched.experiments.events import slot_events
+from hiersched.experiments.logged import TOPIC_OF, Batch, LoggedRun, needed_field
+from hiersched.experiments.logging import log_dims, logged_fields
 from hiersched.experiments.points import logged_delays
-from hiersched.log import TOPICS, LogReader
+from hiersched.log import LogReader, LogWriter
 from hiersched.log.schema import MODELS_TOPIC
 from hiersched.models.model import model_fields
 from hiersched.policies.find import find_policy, untrained_names
 from hiersched.policies.policy import LoggedDecisions, LoggedWeights
 from hiersched.policies.registry import Rule
-from hiersched.runs.events import slot_events
-from hiersched.runs.logged import Batch, LoggedRun
-from hiersched.runs.logging import logged_fields
 from hiersched.simulator import Simulator, SlotRecord
 from hiersched.simulator.simulator import AnyPolicy
 
 Fields = dict[str, NDArray[Any]]
 OnSlots = Callable[[Batch, SlotRecord], None]
-_TOPIC_OF = {f.name: topic.name for topic in TOPICS.values() for f in topic.fields[1:]}
-_EVENT_FIELDS = (
-    "hol_delay_s",
-    "delay_capped",
-    "delay_steps",
-    "control_saturated",
-)
+_EVENT_FIELDS = ("hol_delay_s", "delay_capped", "delay_steps", "control_saturated")
 
 
 @dataclass(frozen=True)
 class Difference:
-    """The first place at which a log is not what the simulator computes.
+    """The first place at which a log is not what the simulator computes, and both values.
 
-    Attributes
-    ----------
-    slot, topic, field
-        Where; ``field`` has the index of the element, as ``state[3,0]``, and in ``/models`` the
-        name that its model gave it, as ``radio.fading/coherence[3]``.
-    logged, computed
-        Both values.
+    ``field`` has the index of the element, as ``state[3,0]``, and in ``/models`` the name that its
+    model gave it, as ``radio.fading/coherence[3]``.
     """
 
     slot: int
@@ -67,7 +57,8 @@ def verify(run: LoggedRun, on_slots: OnSlots | None = None) -> Difference | None
     ones. Classical schedulers decide again; the decisions of learned policies are taken from the
     log, and all that follows from them is computed. Decisions are weights and multipliers, so that
     who gets which PRB already follows; where the log does not have the weights, the owners are.
-    Whether a learned policy's weights are its own, `rerun` says.
+    Whether a learned policy's weights are its own, `rerun` says. Fields that the log does not have
+    are not compared, nor are `run.unknown_fields`.
 
     Parameters
     ----------
@@ -80,13 +71,12 @@ def verify(run: LoggedRun, on_slots: OnSlots | None = None) -> Difference | None
     Returns
     -------
     Difference or None
-        The first slot that differs and, within it, the first field in the order of the log's
-        topics; None if no bit differs.
+        The first slot that differs and, within it, the first field in the order of the table.
 
     Raises
     ------
     LogError
-        If the log is damaged.
+        If the log is damaged, or does not say what was decided.
     ValueError
         If its decisions are none that the simulator takes.
     """
@@ -110,10 +100,10 @@ def verify(run: LoggedRun, on_slots: OnSlots | None = None) -> Difference | None
 
 
 def _read(log: LogReader, batch: Batch) -> Fields:
-    """All fields of a batch, leading axes (E, T)."""
+    """All known fields of a batch, leading axes (E, T)."""
     fields: Fields = {}
     for topic in log.topics:
-        fields |= log.read(topic, None, batch.first_slot, batch.stop_slot)
+        fields |= log.read(topic, log.known_fields(topic), batch.first_slot, batch.stop_slot)
     del fields["slot"]
     lead = batch.num_envs, batch.num_slots
     return {name: values.reshape(*lead, *values.shape[1:]) for name, values in fields.items()}
@@ -128,7 +118,9 @@ def _compute(
 ) -> SlotRecord:
     """Compute a batch from its decisions."""
     if run.stage == "gain_study":
-        return simulator.run_robots(_forced_delays(run, batch))
+        forced = logged_delays(run.scenario, run.metadata)
+        delays = forced.draw(run.scenario, run.keys, batch.stop_slot)
+        return simulator.run_robots(delays[:, batch.first_slot :])
     record = simulator.new_record(batch.num_slots)
     policy = _decider(run, logged)
     simulator.run(policy, multipliers=multipliers, record=record)
@@ -151,22 +143,16 @@ def _decider(run: LoggedRun, logged: Fields) -> AnyPolicy:
     if decides_again(run):
         return find_policy(run.scenario, run.policy)
     if "start" not in run.metadata or np.isnan(logged.get("weight", np.nan)).any():
-        return LoggedDecisions(logged["prb_owner"])
+        return LoggedDecisions(needed_field(run, logged, "prb_owner"))
     return LoggedWeights(logged["weight"].astype(np.float64), run.metadata["start"])
-
-
-def _forced_delays(run: LoggedRun, batch: Batch) -> NDArray[np.float64]:
-    """Network delays of the batch [s], shape (1, T, R)."""
-    delays = logged_delays(run.scenario, run.metadata)
-    return delays.draw(run.scenario, run.keys, batch.stop_slot)[:, batch.first_slot :]
 
 
 def _start(run: LoggedRun, batch: Batch, logged: Fields) -> tuple[Simulator, NDArray[np.float64]]:
     """Episodes that begin, and their multipliers (E, R), which keep their first values."""
     keys = run.keys[batch.first_env : batch.first_env + batch.num_envs]
     multipliers = np.zeros((len(keys), run.scenario.users.num_urllc))
-    if "multiplier" in logged:
-        multipliers[:] = logged["multiplier"][:, 0]
+    if "multiplier" in logged or not decides_again(run):  # rules have none
+        multipliers[:] = needed_field(run, logged, "multiplier")[:, 0]
     return Simulator(run.scenario, run.gains, keys, run.episode_slots), multipliers
 
 
@@ -174,9 +160,9 @@ def _first_difference(
     run: LoggedRun, batch: Batch, logged: Fields, record: SlotRecord
 ) -> Difference | None:
     """Compare a batch; the earliest slot wins, then the order of the topics."""
-    computed = logged_fields(run.profile, run.scenario, record._asdict())
+    computed = logged_fields(logged, run.scenario, record._asdict())
     found: tuple[int, str] | None = None
-    for name in _TOPIC_OF:
+    for name in TOPIC_OF:
         if name in logged:
             differs = _bits(logged[name]) != _bits(computed[name])
             rows = np.flatnonzero(differs.reshape(batch.num_envs * batch.num_slots, -1).any(axis=1))
@@ -188,17 +174,22 @@ def _first_difference(
     env, slot = divmod(row, batch.num_slots)
     a, b = logged[name][env, slot], computed[name][env, slot]
     place = tuple(np.argwhere(_bits(a) != _bits(b))[0].tolist())
-    if _TOPIC_OF[name] == MODELS_TOPIC:
-        field = element_name(model_fields(run.scenario), place[0])
-    else:
-        field = name + (f"[{','.join(map(str, place))}]" if place else "")
     return Difference(
         slot=batch.first_slot + row,
-        topic=_TOPIC_OF[name],
-        field=field,
+        topic=TOPIC_OF[name],
+        field=_element(run, name, place),
         logged=a[place].item(),
         computed=b[place].item(),
     )
+
+
+def _element(run: LoggedRun, name: str, place: tuple[int, ...]) -> str:
+    """Name an element: ``state[3,0]``, ``radio.fading/coherence[3]``."""
+    if TOPIC_OF[name] == MODELS_TOPIC:
+        for field in model_fields(run.scenario):
+            if field.start <= place[0] < field.start + field.count:
+                return f"{field.name}[{place[0] - field.start}]"
+    return name + (f"[{','.join(map(str, place))}]" if place else "")
 
 
 def _bits(values: NDArray[Any]) -> NDArray[Any]:
@@ -214,13 +205,64 @@ def _event_difference(run: LoggedRun, log: LogReader, fields: Fields) -> Differe
         computed += slot_events(run.scenario, run.schedule, episode, first)
     logged = log.events()
     for a, b in zip(logged, computed, strict=False):
-        for name in ("slot", "level", "name", "message"):
+        for name in a._fields:
             if getattr(a, name) != getattr(b, name):
                 slot = min(a.slot, b.slot)
                 return Difference(slot, "/events", name, getattr(a, name), getattr(b, name))
     if len(logged) != len(computed):
-        extra = (logged if len(logged) > len(computed) else computed)[
-            min(len(logged), len(computed))
-        ]
-        return Difference(extra.slot, "/events", "number", len(logged), len(computed))
+        longer = max(logged, computed, key=len)
+        slot = longer[min(len(logged), len(computed))].slot
+        return Difference(slot, "/events", "number", len(logged), len(computed))
     return None
+
+
+def expand(run: LoggedRun, out: str | os.PathLike[str]) -> Difference | None:
+    """Verify a log and write the same run in the profile ``full`` to `out`.
+
+    Metadata and attachments stay as they are; of a full log this is a copy with the same digest.
+    Weights that the log does not have are NaN in the new one, which has the schema of this version
+    and so not the log's `unknown_fields`. Returns and raises as `verify`: there is no new log then.
+
+    Raises
+    ------
+    FileExistsError
+        If `out` exists.
+    """
+    path = Path(out)
+    part = path.with_name(path.name + ".part")
+    for taken in (path, part):
+        if taken.exists():
+            raise FileExistsError(f"{taken}: exists; expanding a log never overwrites a file")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    scenario = run.scenario
+    own = ("profile", "schema_version")
+    writer = LogWriter(
+        path,
+        log_dims(scenario),
+        "full",
+        {key: text for key, text in run.metadata.items() if key not in own},
+        run.attachments,
+        slot_ns=round(scenario.radio.slot_s * 1e9),
+        compression=scenario.log.compression,
+        chunk_bytes=scenario.log.chunk_bytes,
+    )
+
+    def write(batch: Batch, record: SlotRecord) -> None:
+        count = batch.num_envs * batch.num_slots
+        fields = {
+            name: np.ascontiguousarray(values).reshape(count, *values.shape[2:])
+            for name, values in record._asdict().items()
+        }
+        writer.write_block(batch.first_slot, fields)
+
+    try:
+        difference = verify(run, write)
+        if difference is None:
+            with LogReader(run.path, verify="chunks") as log:
+                for event in log.events():  # those that were computed, too
+                    writer.event(*event)
+            writer.close()
+        return difference
+    finally:
+        writer.abort()  # nothing to do where it is closed
+        part.unlink(missing_ok=True)

@@ -52,20 +52,7 @@ def series_names(plot: Plot, dims: LogDims) -> list[str]:
 def rerun_blueprint(dims: LogDims) -> Any:
     """Lay out the views of Rerun: plots, the plane with the robots, the allocation, the events.
 
-    Parameters
-    ----------
-    dims
-        Those of the log.
-
-    Returns
-    -------
-    rerun.blueprint.Blueprint
-        To be sent with the data.
-
-    Raises
-    ------
-    ImportError
-        If there is no rerun-sdk.
+    Returns a `rerun.blueprint.Blueprint`, to be sent with the data; ImportError without rerun-sdk.
     """
     import rerun.blueprint as rrb
 
@@ -116,19 +103,8 @@ def _time_series(plot: Plot, dims: LogDims) -> Any:
 def show_in_rerun(path: str | os.PathLike[str], save: str | os.PathLike[str] | None = None) -> None:
     """Open a log in Rerun, with the poses and images that the log does not have.
 
-    Parameters
-    ----------
-    path
-        The log.
-    save
-        Write a recording (``.rrd``) that opens with the same views, instead of starting Rerun.
-
-    Raises
-    ------
-    ImportError
-        If there is no rerun-sdk.
-    LogError
-        If the log is damaged.
+    With `save` a recording (``.rrd``) that opens with the same views is written instead.
+    ImportError without rerun-sdk, LogError if the log is damaged.
     """
     import rerun as rr
     from rerun.chunk import McapReader
@@ -169,18 +145,7 @@ def _mark_robots(recording: Any, dims: LogDims) -> None:
 
 
 def foxglove_layout(dims: LogDims) -> dict[str, Any]:
-    """Lay out the panels of Foxglove (and Lichtblick): the same views as in Rerun.
-
-    Parameters
-    ----------
-    dims
-        Those of the log.
-
-    Returns
-    -------
-    dict
-        To be written as JSON and imported as a layout.
-    """
+    """Lay out the panels of Foxglove (and Lichtblick): the views of Rerun, as JSON to import."""
     configs: dict[str, Any] = {}
     for number, plot in enumerate(PLOTS):
         configs[f"Plot!{number}"] = {

@@ -7,18 +7,15 @@ import math
 import os
 from collections.abc import Iterator
 from functools import cache
-from importlib.resources import files
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
-from google.protobuf.descriptor_pool import DescriptorPool
-from google.protobuf.message_factory import GetMessageClass
 from mcap.writer import CompressionType, Writer
 from numpy.typing import NDArray
 
 from hiersched.log import LogError, LogReader
+from hiersched.log.schema import describe, message_class
 
 FRAME = "plane"
 IMAGE_TOPIC = "/allocation/image"
@@ -26,6 +23,17 @@ IMAGE_SLOTS = 100
 """Width of an image of the allocation [slots]: one pixel a slot and PRB."""
 
 _LIBRARY = "hiersched-viewer/1"
+_TIME = "google.protobuf.Timestamp timestamp"
+_MESSAGES = {  # numbers as in the public schemas of Foxglove
+    "foxglove.Vector3": ("double x", "double y", "double z"),
+    "foxglove.Quaternion": ("double x", "double y", "double z", "double w"),
+    "foxglove.Pose": ("foxglove.Vector3 position", "foxglove.Quaternion orientation"),
+    "foxglove.PoseInFrame": (_TIME, "string frame_id", "foxglove.Pose pose"),
+    "foxglove.RawImage": (
+        *(_TIME, "fixed32 width", "fixed32 height", "string encoding", "fixed32 step"),
+        *("bytes data", "string frame_id"),
+    ),
+}
 
 
 def pose_topics(num_robots: int) -> list[tuple[str, str]]:
@@ -34,19 +42,10 @@ def pose_topics(num_robots: int) -> list[tuple[str, str]]:
 
 
 def robot_poses(state: NDArray[np.float64], reference: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Poses in the plane from errors in the frame of the reference.
+    """Poses x, y, theta in the plane, shape (..., 3), from errors in the frame of the reference.
 
-    Parameters
-    ----------
-    state
-        e_x, e_y [m], e_theta [rad] first, shape (..., 5).
-    reference
-        x, y [m], theta [rad] first, shape (..., 5).
-
-    Returns
-    -------
-    ndarray
-        x, y, theta, shape (..., 3).
+    `state`, e_x, e_y [m], e_theta [rad] first, and `reference`, x, y [m], theta [rad] first, have
+    shape (..., 5).
     """
     cos, sin = np.cos(reference[..., 2]), np.sin(reference[..., 2])
     return np.stack(
@@ -72,35 +71,17 @@ def user_colours(num_urllc: int, num_embb: int) -> NDArray[np.uint8]:
 
 
 @cache
-def _message_class(name: str) -> Any:
-    pool = DescriptorPool()
-    for file in FileDescriptorSet.FromString(_descriptors()).file:
-        pool.Add(file)
-    return GetMessageClass(pool.FindMessageTypeByName(name))
-
-
-@cache
 def _descriptors() -> bytes:
-    return files("hiersched.log").joinpath("foxglove/Viewer.binpb").read_bytes()
+    return describe("foxglove/Viewer.proto", _MESSAGES)
 
 
 def write_viewer_topics(path: str | os.PathLike[str], out: str | os.PathLike[str]) -> None:
     """Write an MCAP file to open beside the log: poses, references, images of the allocation.
 
     Poses are `foxglove.PoseInFrame`, at the end of each slot and with its log time; images are
-    `foxglove.RawImage`, of the last `IMAGE_SLOTS` slots, time to the right and PRBs downwards.
-
-    Parameters
-    ----------
-    path
-        The log.
-    out
-        The file to be; it appears whole or not at all.
-
-    Raises
-    ------
-    LogError
-        If the log is damaged.
+    `foxglove.RawImage`, of the last `IMAGE_SLOTS` slots, time to the right and PRBs downwards. The
+    file appears whole or not at all; LogError if the log is damaged, or does not have what is
+    drawn.
     """
     target = Path(out)
     part = target.with_name(target.name + ".part")
@@ -141,7 +122,7 @@ def _messages(log: LogReader) -> Iterator[tuple[str, Any, int]]:
 
 
 def _pose_messages(log: LogReader) -> Iterator[tuple[str, Any, int]]:
-    if log.profile != "full":
+    if "/robots" not in log.topics or not {"state", "reference"} <= {*log.known_fields("/robots")}:
         raise LogError(
             log.path,
             0,
@@ -157,7 +138,7 @@ def _pose_messages(log: LogReader) -> Iterator[tuple[str, Any, int]]:
 
 
 def _pose(x: float, y: float, theta: float) -> Any:
-    message = _message_class("foxglove.PoseInFrame")(frame_id=FRAME)
+    message = message_class(_descriptors(), "foxglove.PoseInFrame")(frame_id=FRAME)
     message.pose.position.x, message.pose.position.y = x, y
     message.pose.orientation.z = math.sin(0.5 * theta)
     message.pose.orientation.w = math.cos(0.5 * theta)
@@ -167,7 +148,7 @@ def _pose(x: float, y: float, theta: float) -> Any:
 def _image(rgb: NDArray[np.uint8]) -> Any:
     """Make an image of pixels, shape (height, width, 3)."""
     height, width = rgb.shape[:2]
-    return _message_class("foxglove.RawImage")(
+    return message_class(_descriptors(), "foxglove.RawImage")(
         frame_id="allocation",
         width=width,
         height=height,

@@ -33,7 +33,13 @@ SWEPT_SECTIONS = (
     *("robot", "plant", "control", "policies"),
 )
 """Sections of which a sweep can vary the keys: those that the slot loop reads."""
-RESERVED_AXES = ("evaluate", "generalise", "gain_study", "cell", "train")
+RESERVED_AXES = (
+    *("evaluate", "generalise", "gain_study", "gain_grid", "gain_sampling_s", "gain_noise"),
+    *("cell", "measure", "train"),
+)
+"""Names of other experiments, of what they vary, and of jobs."""
+RESERVED_LEARNERS = ("classical", "gains")
+"""Names of jobs of policies that are not trained."""
 NETWORK_METHODS = ("predictor", "latency_compensated", "h2")
 """Gain methods for plants whose whole feedback crosses the network."""
 
@@ -201,6 +207,7 @@ def _learners(scenario: Scenario) -> list[str]:
     faults = _learning(scenario, "learning", scenario.learning)
     taken = {scenario.learning.algorithm: "learning.algorithm"}
     taken |= dict.fromkeys(UNTRAINED, "a scheduler")
+    taken |= dict.fromkeys(RESERVED_LEARNERS, "jobs of the study")
     if taken[scenario.learning.algorithm] == "a scheduler":
         faults.append(
             f"learning.algorithm = {scenario.learning.algorithm}: the name of a scheduler"
@@ -323,16 +330,26 @@ def _axes(scenario: Scenario) -> list[str]:
     for name, axis in scenario.sweeps.axes.items():
         place = f"sweeps.axes.{name}"
         if name in RESERVED_AXES:
-            faults.append(f"{place}: must be another name: a part of the study is called so")
+            faults.append(
+                f"{place}: must be another name than {', '.join(RESERVED_AXES)}: parts of the "
+                "study are called so"
+            )
         for key, values in axis.vary.items():
             if any(value in values[:number] for number, value in enumerate(values)):
                 faults.append(f"{place}.vary.{key} = {list(values)}: every value once")
+            if key == "robot.reference_file":
+                faults.append(
+                    f"{place}.vary.{key}: cannot be varied: its points are read but once (vary "
+                    "robot.reference)"
+                )
             if key.partition(".")[0] not in SWEPT_SECTIONS:
                 faults.append(
                     f"{place}.vary.{key}: must be a key of {', '.join(SWEPT_SECTIONS)} (what "
                     "learners differ in stands under `learners`)"
                 )
         if isinstance(axis.policies, tuple):
+            if len(set(axis.policies)) != len(axis.policies):
+                faults.append(f"{place}.policies = {list(axis.policies)}: every policy once")
             faults.extend(_policies(scenario, f"{place}.policies", axis.policies))
     return faults
 

@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from hiersched.models.model import SECTIONS, Section
 from hiersched.policies.registry import RULES
 from hiersched.scenario.old_keys import new_key
-from hiersched.scenario.schema import Scenario
+from hiersched.scenario.schema import Axis, Scenario
 
 Location = tuple[str | int, ...]
 
@@ -111,6 +111,8 @@ def allowed_keys(location: Location, merged: Mapping[str, Any]) -> list[str]:
     if place in SECTIONS:
         return _model_keys(SECTIONS[place], _value_at(merged, location))
     section = str(location[0])
+    if location[:2] == ("sweeps", "axes"):
+        return [field.name for field in fields(Axis)]
     if section == "policies":
         entry = _value_at(merged, location)
         keys = ["import", "rule", "parameters"]

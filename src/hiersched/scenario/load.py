@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -107,7 +108,7 @@ def _read_overlays(path: Path) -> list[tuple[Path, dict[str, Any]]]:
     """Read a scenario and those that it extends, one after the other: itself first."""
     overlays: list[tuple[Path, dict[str, Any]]] = []
     while True:
-        overlay = _read_yaml(path)
+        overlay = _with_axes(_read_yaml(path))
         base = overlay.pop("extends", None)
         overlays.append((path, overlay))
         if base is None:
@@ -153,21 +154,25 @@ def _with_points(merged: dict[str, Any], sources: _Sources) -> dict[str, Any]:
     return {**merged, "robot": {**robot, "reference_points": [list(point) for point in points]}}
 
 
-def _with_axes(merged: dict[str, Any]) -> dict[str, Any]:
-    """Write axes in full: a list under a key varies that key, and null takes an axis away."""
-    sweeps = merged.get("sweeps")
+def _with_axes(overlay: dict[str, Any], *, whole: bool = False) -> dict[str, Any]:
+    """Write axes in full: a list under a key varies that key.
+
+    The `whole` scenario has no axes that are null, and all others say whose they are.
+    """
+    sweeps = overlay.get("sweeps")
     if not isinstance(sweeps, dict) or not isinstance(sweeps.get("axes"), dict):
-        return merged  # validation says what is wrong
+        return overlay  # validation says what is wrong
     axes = {
-        name: {"vary": {name: axis}, "policies": None}
-        if isinstance(axis, list)
-        else {"policies": None, **axis}
-        if isinstance(axis, dict)
-        else axis
+        name: {"vary": {name: axis}} if isinstance(axis, list) else axis
         for name, axis in sweeps["axes"].items()
-        if axis is not None
     }
-    return {**merged, "sweeps": {**sweeps, "axes": axes}}
+    if whole:
+        axes = {
+            name: {"policies": None, **axis} if isinstance(axis, dict) else axis
+            for name, axis in axes.items()
+            if axis is not None
+        }
+    return {**overlay, "sweeps": {**sweeps, "axes": axes}}
 
 
 def _with_learners(merged: dict[str, Any]) -> dict[str, Any]:
@@ -217,21 +222,22 @@ def load_scenario(name_or_path: str | Path, *, defaults: Path | None = None) -> 
     for _, overlay in reversed(overlays):
         merged = _merge(merged, overlay)
     sources = [*overlays, (defaults, {})]
-    merged = _with_learners(_with_points(_with_axes(merged), sources))
+    merged = _with_learners(_with_points(_with_axes(merged, whole=True), sources))
     if "name" not in overlays[0][1]:  # that of a scenario which it extends is not its own
         merged["name"] = path.stem
+    _load_plugins(merged, [file for file, _ in sources])
     return _validate(_with_hold(merged), sources)
 
 
-def with_values(scenario: Scenario, values: Mapping[str, Any], what: str) -> Scenario:
+def with_values(scenario: Scenario, values: Mapping[str, Any], where: str) -> Scenario:
     """Return a scenario with other values at dotted keys.
 
     Parameters
     ----------
     values
         Dotted key -> value, as it would stand in YAML.
-    what
-        Names them in errors.
+    where
+        Stands before every fault, such as the axis that varies them.
 
     Raises
     ------
@@ -240,24 +246,34 @@ def with_values(scenario: Scenario, values: Mapping[str, Any], what: str) -> Sce
     """
     data = scenario_to_dict(scenario)
     for key, value in values.items():
-        *parents, name = key.split(".")
+        holder: Any = {}
         inner: Any = data
-        for part in parents:
-            inner = inner.get(part) if isinstance(inner, dict) else None
-        if not isinstance(inner, dict) or name not in inner:
-            raise ScenarioError(f"scenario {scenario.name}: {what}: {key}: no key of the scenario")
-        inner[name] = value
-    try:
-        return _validate(data, [(Path(f"scenario {scenario.name}: {what}"), data)])
-    except ScenarioError as error:
-        raise ScenarioError(str(error)) from None
+        parts = key.split(".")
+        for place, part in enumerate(parts):
+            if not isinstance(inner, dict) or part not in inner:
+                known = ", ".join(inner) if isinstance(inner, dict) else "none"
+                raise ScenarioError(
+                    f"{where}.{key}: unknown key; allowed in "
+                    f"{'.'.join(parts[:place]) or 'a scenario'}: {known}"
+                )
+            holder, inner = inner, inner[part]
+        holder[parts[-1]] = value
+    given = ", ".join(f"{key} = {value!r}" for key, value in values.items())
+    return _validate(data, [(Path(f"{where}: with {given}"), data)])
 
 
 _Sources = Sequence[tuple[Path, Mapping[str, Any]]]
 """Files of a scenario, the one that stands over the others first, and what each holds."""
 
 
+@cache
+def _adapter() -> TypeAdapter[Scenario]:
+    """Return what reads a scenario; making it takes longer than reading."""
+    return TypeAdapter(Scenario)
+
+
 def _validate(merged: Mapping[str, Any], sources: _Sources) -> Scenario:
+    """Return the scenario; its plug-ins are there already."""
     path = sources[0][0]
     try:
         text = json.dumps(merged)
@@ -265,9 +281,8 @@ def _validate(merged: Mapping[str, Any], sources: _Sources) -> Scenario:
         raise ScenarioError(
             f"{path}: a value is neither number, text, list nor mapping: {error}"
         ) from error
-    _load_plugins(merged.get("plugins"), [file for file, _ in sources])
     try:
-        scenario = TypeAdapter(Scenario).validate_json(text, strict=True)
+        scenario = _adapter().validate_json(text, strict=True)
     except ValidationError as error:
         raise ScenarioError(describe(error, merged, sources)) from error
     faults = inconsistencies(scenario)
@@ -276,8 +291,9 @@ def _validate(merged: Mapping[str, Any], sources: _Sources) -> Scenario:
     return scenario
 
 
-def _load_plugins(names: Any, files: Sequence[Path]) -> None:
+def _load_plugins(merged: Mapping[str, Any], files: Sequence[Path]) -> None:
     """Import plug-ins, before validation asks what there is."""
+    names = merged.get("plugins")
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         names = []  # validation says what is wrong
     path = files[0]
@@ -310,10 +326,12 @@ def load_resolved(text: str, origin: Path) -> tuple[Scenario, tuple[str, ...], s
     written = _parse_yaml(text, origin)
     sha256 = _sha256(written)
     data = converted(written)
+    _load_plugins(data, [origin])
     missing = _missing_keys(data)
     if not missing:
         return _validate(data, [(origin, data)]), (), sha256
-    merged = _with_hold(_with_learners(_with_axes(_merge(_read_yaml(DEFAULTS), data))))
+    whole = _with_axes(_merge(_read_yaml(DEFAULTS), data), whole=True)
+    merged = _with_hold(_with_learners(whole))
     return _validate(merged, [(origin, data), (DEFAULTS, {})]), tuple(missing), sha256
 
 

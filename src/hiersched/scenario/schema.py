@@ -229,7 +229,7 @@ class Axis:
     vary: Annotated[Mapping[str, Annotated[tuple[Any, ...], NonEmpty]], NonEmpty] = field(
         hash=False
     )
-    policies: Literal["all", "own"] | tuple[PolicyName, ...] | None
+    policies: Literal["all", "own"] | Annotated[tuple[PolicyName, ...], NonEmpty] | None
 
 
 @dataclass(frozen=True, kw_only=True)

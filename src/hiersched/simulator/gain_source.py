@@ -10,6 +10,7 @@ from typing import Any
 
 from hiersched.control import GainSchedule, build_schedule
 from hiersched.control.gain_schedule import DESIGN_VERSION
+from hiersched.core.extras import naming_extras
 from hiersched.scenario import Scenario, scenario_to_dict
 from hiersched.scenario.plugins import CONFIG
 from hiersched.simulator.loop_gains import LoopGains, loop_gains, plant_of
@@ -65,9 +66,13 @@ def design_schedule(scenario: Scenario) -> GainSchedule:
         If the extra `control`, which solves the matrix inequalities, is not installed.
     """
     control = scenario.control
-    return build_schedule(
-        plant_of(scenario), scenario.max_delay_steps, control.method, decay_rate=control.decay_rate
-    )
+    with naming_extras():
+        return build_schedule(
+            plant_of(scenario),
+            scenario.max_delay_steps,
+            control.method,
+            decay_rate=control.decay_rate,
+        )
 
 
 def scenario_schedule(scenario: Scenario) -> GainSchedule:

@@ -7,13 +7,12 @@ runs again when its measures, its scenario or its code change.
 from __future__ import annotations
 
 import inspect
-import sys
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hiersched.core.registry import Registry, is_plugin_file
+from hiersched.core.registry import Registry
 from hiersched.experiments.points import (
     BASELINE,
     axis_policies,
@@ -21,7 +20,6 @@ from hiersched.experiments.points import (
     trained_learners,
 )
 from hiersched.scenario import Scenario
-from hiersched.scenario.plugins import plugin_modules
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -205,16 +203,3 @@ def learners_among(scenario: Scenario, policies: Iterable[str]) -> list[str]:
 def compares_rates(scenario: Scenario) -> bool:
     """Whether the own learner or PF is evaluated, whose rates the paper compares."""
     return bool(own_and_baseline(scenario, scenario.evaluate.policies))
-
-
-def shown(registry: Registry[Shown], scenario: Scenario) -> dict[str, Shown]:
-    """Return what of a registry a scenario shows, by name: nothing of another's plug-ins."""
-    import hiersched.study.built_in  # noqa: F401  # registers ours
-
-    own = plugin_modules(scenario).values()
-    found = {}
-    for name in registry:
-        thing, module = registry[name], sys.modules[registry[name].module]
-        if (module in own or not is_plugin_file(module)) and thing.when(scenario):
-            found[name] = thing
-    return found

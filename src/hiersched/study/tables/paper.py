@@ -63,7 +63,7 @@ def _at(values: Any, key: str) -> Any:
         name, _, last = key.removeprefix("sweeps.axes.").rpartition(".")
         return values["sweeps"]["axes"].get(name, {}).get(last)
     for part in key.split("."):
-        values = values.get(part)
+        values = values.get(part) if isinstance(values, dict) else None
     return values
 
 

@@ -6,10 +6,11 @@ import sys
 from hiersched.experiments import dependencies, files
 from hiersched.experiments.fingerprint import KERNEL_MODULE, PACKAGE_FOLDER, code_fingerprint
 from hiersched.experiments.gains import designs, experiment_designs
-from hiersched.experiments.points import experiments, groups, trained_learners
-from hiersched.scenario import ScenarioError, load_scenario, parameter_notes
+from hiersched.experiments.points import experiments, groups, load_study, trained_learners
+from hiersched.scenario import ScenarioError, parameter_notes
+from hiersched.study.built_in import shown
 from hiersched.study.measure import measured_files, measured_groups, table_file
-from hiersched.study.registry import CLAIMS, FIGURES, TABLES, shown
+from hiersched.study.registry import CLAIMS, FIGURES, TABLES
 from hiersched.study.study import Study
 
 SCRIPTS = PACKAGE_FOLDER / "workflow" / "scripts"
@@ -28,8 +29,7 @@ def load_scenarios():
         raise ScenarioError(f"--config scenarios={names!r}: must be a list of names or paths")
     scenarios = {}
     for name in names:
-        scenario = load_scenario(str(name))
-        experiments(scenario)
+        scenario = load_study(str(name))
         if scenario.name in scenarios:
             raise ScenarioError(f"--config scenarios: {scenario.name} stands twice")
         scenarios[scenario.name] = scenario

@@ -1,0 +1,191 @@
+"""Opens the log of a run and fills it: the same metadata, attachments and events in every stage."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hiersched.control import GainSchedule
+from hiersched.core.fields import fields_to_text
+from hiersched.experiments.events import slot_events
+from hiersched.log import LogDims, LogWriter
+from hiersched.log.schema import MODEL_FIELDS
+from hiersched.models.model import model_fields, num_model_values
+from hiersched.scenario import Scenario, scenario_sha256, scenario_to_yaml
+
+if TYPE_CHECKING:
+    from hiersched.experiments.worlds import WorldRun
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunLabel:
+    """What a run is: train, evaluate, sweep or gain_study, policy, seed, the point of a sweep."""
+
+    stage: str
+    policy: str
+    seed: int
+    axis: str = ""
+    value: str = ""
+
+
+def open_log(
+    path: Path,
+    scenario: Scenario,
+    schedule: GainSchedule,
+    label: RunLabel,
+    *,
+    profile: str,
+    metadata: Mapping[str, str] | None = None,
+    attachments: Mapping[str, bytes] | None = None,
+) -> LogWriter:
+    """Open the log of one run; its folder is created.
+
+    Parameters
+    ----------
+    scenario
+        The scenario that is run (that of a sweep: with the swept value in place).
+    schedule
+        Gain schedule in force.
+    label
+        Goes into the metadata.
+    metadata, attachments
+        Further ones, such as the weights of a policy.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    attached = _attached(scenario, schedule)
+    text = {
+        "scenario": scenario.name,
+        "scenario_sha256": attached.scenario_sha256,
+        "seed": str(label.seed),
+        "policy": label.policy,
+        "stage": label.stage,
+        "axis": label.axis,
+        "value": label.value,
+        "gain": scenario.control.gain,
+        **(metadata or {}),
+    }
+    if fields := model_fields(scenario):
+        text[MODEL_FIELDS] = fields_to_text(fields)
+    return LogWriter(
+        path,
+        log_dims(scenario),
+        profile,
+        text,
+        {**attached.files, **(attachments or {})},
+        slot_ns=round(scenario.radio.slot_s * 1e9),
+        compression=scenario.log.compression,
+        chunk_bytes=scenario.log.chunk_bytes,
+    )
+
+
+class _Attached(NamedTuple):
+    """What every log of a scenario and a schedule carries."""
+
+    scenario: Scenario
+    schedule: GainSchedule
+    scenario_sha256: str
+    files: dict[str, bytes]
+
+
+_last_attached: list[_Attached] = []
+
+
+def _attached(scenario: Scenario, schedule: GainSchedule) -> _Attached:
+    """Write scenario and schedule as text, once for logs in a row that share these very objects.
+
+    It takes longer than to simulate the 1400 slots of an evaluation and to log them.
+    """
+    if not any(a.scenario is scenario and a.schedule is schedule for a in _last_attached):
+        files = {
+            "scenario.yaml": scenario_to_yaml(scenario).encode(),
+            "schedule.json": json.dumps(
+                json.loads(schedule.to_json()), separators=(",", ":")
+            ).encode(),
+        }
+        _last_attached[:] = [_Attached(scenario, schedule, scenario_sha256(scenario), files)]
+    return _last_attached[0]
+
+
+def log_dims(scenario: Scenario) -> LogDims:
+    """Sizes of a scenario's logs."""
+    num_states, num_inputs, num_normals = scenario.robot_sizes
+    return LogDims(
+        num_urllc=scenario.users.num_urllc,
+        num_embb=scenario.users.num_embb,
+        num_prb=scenario.radio.num_prb,
+        num_states=num_states,
+        num_inputs=num_inputs,
+        num_normals=num_normals,
+        num_model_values=num_model_values(scenario),
+    )
+
+
+def log_block(
+    writer: LogWriter,
+    scenario: Scenario,
+    schedule: GainSchedule,
+    fields: Mapping[str, NDArray[Any]],
+    first_slot: int = 0,
+) -> None:
+    """Write consecutive slots of one world and their events; `fields` have a leading axis (T,)."""
+    writer.write_block(first_slot, logged_fields(writer.fields, scenario, fields))
+    for event in slot_events(scenario, schedule, fields, first_slot):
+        writer.event(*event)
+
+
+def write_log(
+    path: Path,
+    scenario: Scenario,
+    schedule: GainSchedule,
+    label: RunLabel,
+    run: WorldRun,
+    *,
+    profile: str,
+) -> None:
+    """Write the log of what a policy did in one world; see `open_log`."""
+    with open_log(
+        path,
+        scenario,
+        schedule,
+        label,
+        profile=profile,
+        metadata=run.metadata,
+        attachments=run.attachments,
+    ) as writer:
+        log_block(writer, scenario, schedule, run.fields)
+
+
+def logged_fields(
+    wanted: Collection[str], scenario: Scenario, fields: Mapping[str, NDArray[Any]]
+) -> Mapping[str, NDArray[Any]]:
+    """Add to the fields of a record those wanted that it does not have: sums of slices."""
+    if fields.keys() >= set(wanted):
+        return fields
+    return {**fields, **slice_fields(fields, scenario.users.num_urllc)}
+
+
+def slice_fields(fields: Mapping[str, NDArray[Any]], num_urllc: int) -> dict[str, NDArray[Any]]:
+    """Sum users up to slices: what logs of decisions have in place of the users' numbers.
+
+    `fields` has ``backlog_packets``, ``due_packets`` and ``late_packets`` of users, shape (..., U),
+    URLLC users first. Returns name -> value of each slot, shape (...): mean backlogs [packets], 0
+    where a slice has no user, and numbers of packets.
+    """
+    slices: dict[str, NDArray[Any]] = {}
+    for name, users in (("urllc", slice(0, num_urllc)), ("embb", slice(num_urllc, None))):
+        backlog = fields["backlog_packets"][..., users]
+        # User by user: the order of NumPy's own sum, and so its bits, depends on memory layout.
+        total = np.zeros(backlog.shape[:-1])
+        for user in range(backlog.shape[-1]):
+            total += backlog[..., user]
+        slices[f"backlog_{name}_packets"] = total / max(1, backlog.shape[-1])
+        for kind in ("due", "late"):
+            packets = fields[f"{kind}_packets"][..., users]
+            slices[f"{kind}_{name}_packets"] = packets.sum(axis=-1, dtype=np.uint32)
+    return slices
