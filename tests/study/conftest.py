@@ -44,6 +44,7 @@ evaluate: {seeds: [11, 12, 13], warmup_s: 0.04, duration_s: 0.36, full_logs: 0,
            policies: [ddpg, pf, drift_plus_penalty, alt]}
 sweeps:
   seeds: [21, 22, 23]
+  warmup_s: 0.0
   policies: [ddpg, pf]
   axes:
     rayleigh_scale: {vary: {radio.fading.scale: [0.5, 1.0]}}
@@ -53,14 +54,12 @@ sweeps:
     load_ratio: {vary: {traffic.load_ratio: [0.7, 1.4]}}
     service_coefficient_mbps:
       vary: {traffic.service_coefficient_mbps: [0.0, 8.0], control.sampling_s: [0.02, 0.05]}
-generalise: {seeds: [41, 42, 43], cells: [[2, 1, 4], [2, 1, 6]],
+generalise: {seeds: [41, 42, 43], warmup_s: 0.0, cells: [[2, 1, 4], [2, 1, 6]],
              policies: [ddpg, pf, drift_plus_penalty]}
 gain_study: {seeds: [31, 32, 33], methods: [krasovskii, razumikhin, predictor], weight: [100.0],
              fixed_delay_s: [0.04, 0.2], sampling_s: [0.02, 0.05],
              noise_position_m: [0.0, 0.002], noise_heading_rad: [0.0, 0.005]}
 """
-WARMUP_SLOTS = 4
-"""Of the evaluation."""
 WRITTEN_FIGURES = ("fig8_violations", "figX_gain_grid")
 
 DIMS = LogDims(num_urllc=2, num_embb=1, num_prb=4)
@@ -275,7 +274,7 @@ def _write_runs(
     """
     learning = scenario.learned.get(policy)
     policies: tuple[int | None, ...] = (None,) if learning is None else learning.seeds
-    evaluated = experiment.stage == "evaluate"
+    warmup_slots = experiment.num_slots(point.scenario)[1]
     rows = []
     for place, seed in enumerate(experiment.seeds):
         for index, policy_seed in enumerate(policies):
@@ -284,8 +283,8 @@ def _write_runs(
             label |= {"axis": experiment.axis, "value": point.value}
             if policy_seed is not None:
                 label["policy_seed"] = str(policy_seed)
-            if evaluated:
-                label["warmup_slots"] = str(WARMUP_SLOTS)
+            if warmup_slots:
+                label["warmup_slots"] = str(warmup_slots)
             if place % len(policies) == index:
                 path = folder / files.run_log(experiment, point, policy, seed)
                 _write_log(path, fields, metadata=label)
@@ -295,7 +294,7 @@ def _write_runs(
                 metadata=label,
                 num_urllc=2,
                 slot_s=0.01,
-                warmup_slots=WARMUP_SLOTS if evaluated else 0,
+                warmup_slots=warmup_slots,
                 fields=fields,
             )
             rows.append(measured_row(slots, point.scenario))
