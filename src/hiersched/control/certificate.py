@@ -18,9 +18,6 @@ import numpy.typing as npt
 from hiersched.control.checks import FloatArray, as_decay_rate, as_loop, as_square, as_symmetric
 from hiersched.control.lifted import simulate_random_delays, spectral_radius_by_delay
 
-DEFAULT_DECAY_RATE = 0.02
-"""Decay of V per sample that C1 certifies where nothing else is asked."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RazumikhinWitness:

@@ -12,20 +12,17 @@ from typing import SupportsIndex, get_args
 
 import numpy as np
 
-from hiersched.control.certificate import DEFAULT_DECAY_RATE, Certificate, Witness, certify
+from hiersched.control.certificate import Certificate, Witness, certify
 from hiersched.control.checks import FloatArray, as_decay_rate, as_samples
 from hiersched.control.delayed_plant import DelayedPlant, require_network
-from hiersched.control.gain_schedule import Method, Status
 from hiersched.control.h2 import h2_gain
 from hiersched.control.krasovskii import KrasovskiiSynthesis, analyse_krasovskii
 from hiersched.control.lqr import latency_compensated
+from hiersched.control.methods import CERTIFYING, DEFAULT_DECAY_RATE, Method, Status
 from hiersched.control.predictor import input_memory_radii, predictor_gains
 from hiersched.control.razumikhin import RazumikhinSynthesis, analyse_razumikhin
 
 logger = logging.getLogger(__name__)
-
-CERTIFYING = ("krasovskii", "razumikhin")
-"""Methods that put no gain into force but one that is certified, or the nominal one."""
 
 SIMULATIONS = 16
 """Runs under random varying delays that every gain in force has to pass (15 ms a gain)."""

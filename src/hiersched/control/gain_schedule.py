@@ -9,27 +9,21 @@ import operator
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal, SupportsIndex, get_args
+from typing import Any, SupportsIndex, get_args
 
 import numpy as np
 import numpy.typing as npt
 
-from hiersched.control.certificate import DEFAULT_DECAY_RATE, Certificate, certify
+from hiersched.control.certificate import Certificate, certify
 from hiersched.control.checks import FloatArray, as_matrix, as_samples
 from hiersched.control.delayed_plant import DelayedPlant
 from hiersched.control.gain_schedule_json import dump_schedule, parse_schedule
+from hiersched.control.methods import DEFAULT_DECAY_RATE, Method, Status
 
 logger = logging.getLogger(__name__)
 
 DESIGN_VERSION = 2
 """Part of the cache key: raise it when the design algorithm changes its results."""
-
-Method = Literal["krasovskii", "razumikhin", "predictor", "latency_compensated", "h2"]
-"""C3, C1 (certified by design); state prediction, K (A - B K)^T, H2-optimal (tried afterwards)."""
-
-Status = Literal["nominal", "adjusted", "uncertified", "infeasible"]
-"""The nominal gain, certified; another one, certified; the method's, which no certificate covers;
-the nominal gain for want of a better one, not certified."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -20,11 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
-from hiersched.control.certificate import (
-    DEFAULT_DECAY_RATE,
-    DelayRazumikhinWitness,
-    RazumikhinWitness,
-)
+from hiersched.control.certificate import DelayRazumikhinWitness, RazumikhinWitness
 from hiersched.control.checks import (
     FloatArray,
     as_decay_rate,
@@ -46,6 +42,7 @@ from hiersched.control.lmi import (
     symmetric_blocks,
     transformed,
 )
+from hiersched.control.methods import DEFAULT_DECAY_RATE
 
 REACH = 12.0
 """The searches go over shares from 2^-REACH to 1 - 2^-REACH: where the best share is 0, they may
