@@ -15,7 +15,7 @@ from pydantic import TypeAdapter
 
 from hiersched.core.registry import BUILT_IN_ALGORITHMS
 from hiersched.models.model import SECTIONS, Section
-from hiersched.policies.imported import ImportedPolicy
+from hiersched.policies.find import ImportedPolicy
 from hiersched.policies.index_rules import CLASSICAL
 from hiersched.policies.registry import RULES
 from hiersched.scenario import parameter_notes

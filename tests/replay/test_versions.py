@@ -17,7 +17,7 @@ from hiersched.log import LogError, LogReader, log_digest
 from hiersched.replay.compare import compare_logs
 from hiersched.replay.verify import verify
 
-PF, DDPG = "eval/pf/seed11.mcap", "eval/ddpg/seed11.mcap"
+PF, DDPG = "runs/evaluate/pf/seed11.mcap", "runs/evaluate/ddpg/seed11.mcap"
 TORQUE = Field("/robots", "torque_nm", "<f4", ("R", 2), "N m", "of both wheels", ("full",))
 HARQ = Field("/harq", "failed_blocks", "<u4", ("U",), "1", "blocks that failed", ("full",))
 

@@ -20,7 +20,7 @@ from hiersched.experiments.fingerprint import code_fingerprint
 from hiersched.experiments.gains import designs
 from hiersched.experiments.points import Experiment, experiments, groups, learner_scenario
 from hiersched.models.model import SECTIONS
-from hiersched.policies.imported import ImportedPolicy
+from hiersched.policies.find import ImportedPolicy
 from hiersched.scenario import Scenario, scenario_to_dict
 from hiersched.scenario.plugins import plugin_modules
 from hiersched.scenario.schema import model_at
