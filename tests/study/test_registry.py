@@ -11,6 +11,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from hiersched.core.registry import load_plugin
 from hiersched.scenario import Scenario, ScenarioError
 from hiersched.study.built_in import shown
 from hiersched.study.claims.report import join_claims
@@ -181,9 +182,9 @@ def plugin(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     file = tmp_path / "my_study.py"
     file.write_text(PLUGIN, encoding="utf-8")
     yield file
-    sys.modules.pop("my_study", None)
-    for registry in REGISTRIES.values():
-        registry.forget(str(file))
+    file.write_text("", encoding="utf-8")
+    load_plugin(file)
+    del sys.modules["my_study"]
 
 
 def test_a_file_adds_a_table_a_figure_and_a_claim(
