@@ -21,7 +21,7 @@ RUN := env PATH="$(BIN):$$PATH" OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: oldest help install paper smoke readme gains test lint format bench bench-short clean distclean
+.PHONY: oldest help install paper smoke readme docs gains test lint format bench bench-short clean distclean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-11s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -47,6 +47,9 @@ smoke: $(STAMP)  ## the same pipeline, small enough for a few minutes (results/s
 
 readme: $(STAMP)  ## write the verdicts of results/paper into the README
 	$(RUN) python src/hiersched/workflow/scripts/readme.py --results results/paper
+
+docs: $(STAMP)  ## write the generated parts of the documents, and the JSON schema of scenarios
+	$(RUN) python docs/generate.py
 
 gains: $(STAMP)  ## design the gains that the package ships anew
 	$(RUN) python src/hiersched/workflow/scripts/ship_gains.py

@@ -25,6 +25,8 @@ from common import Figure, cpu_seconds, main, paper, some_policy
 
 # isort: split
 import numpy as np
+from hiersched.runs import evaluate as stage
+from hiersched.runs import paths
 from hiersched.runs.gains import design_gains
 from hiersched.runs.learned import learned_policies
 from hiersched.runs.policies import PolicySource, untrained_policies
@@ -35,11 +37,9 @@ from mcap_protobuf.decoder import DecoderFactory
 from hiersched.core.randomness import world_keys
 from hiersched.log import TOPICS, LogDims, LogReader, LogWriter
 from hiersched.log.schema import descriptors, message_class, topics_in
-from hiersched.runs import evaluate as stage
-from hiersched.runs import paths
 from hiersched.scenario import Scenario
 from hiersched.simulator import Simulator
-from hiersched.simulator.loop_gains import LoopGains, plant_of
+from hiersched.simulator.loop_gains import Gains, plant_of
 
 DIMS = LogDims(num_urllc=10, num_embb=10, num_prb=25)
 SLOT_NS = 10_000_000
@@ -76,7 +76,7 @@ def paper_simulator(worlds: int, slots: int) -> Simulator:
     scenario = paper()
     gain = plant_of(scenario).nominal_gain
     network = np.repeat(gain[None], scenario.max_delay_steps + 1, axis=0)
-    gains = LoopGains.memoryless(network)
+    gains = Gains.memoryless(network)
     return Simulator(scenario, gains, world_keys("bench", 1, worlds), slots)
 
 

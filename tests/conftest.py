@@ -21,7 +21,7 @@ from hypothesis import HealthCheck, settings  # noqa: E402
 
 if TYPE_CHECKING:
     from hiersched.scenario import Scenario
-    from hiersched.simulator.loop_gains import LoopGains
+    from hiersched.simulator.loop_gains import Gains
 
 # Compiling a Numba kernel takes seconds on its first call, so no deadline;
 # derandomised, so that a run that passes here passes everywhere.
@@ -51,17 +51,17 @@ def smoke_scenario(project_root: Path) -> Scenario:
 
 
 @pytest.fixture(scope="session")
-def nominal_gains() -> Callable[[Scenario], LoopGains]:
+def nominal_gains() -> Callable[[Scenario], Gains]:
     """The nominal gain at every delay, for a scenario's sampling interval and weight."""
-    from hiersched.simulator.loop_gains import LoopGains, plant_of
+    from hiersched.simulator.loop_gains import Gains, plant_of
 
-    made: dict[object, LoopGains] = {}
+    made: dict[object, Gains] = {}
 
-    def gains(scenario: Scenario) -> LoopGains:
+    def gains(scenario: Scenario) -> Gains:
         if scenario.control not in made:
             K = plant_of(scenario).nominal_gain
             network = np.repeat(K[None], scenario.max_delay_steps + 1, axis=0)
-            made[scenario.control] = LoopGains.memoryless(network)
+            made[scenario.control] = Gains.memoryless(network)
         return made[scenario.control]
 
     return gains
@@ -81,7 +81,7 @@ def scenario(smoke_scenario: Scenario) -> Scenario:
 
 
 @pytest.fixture(scope="session")
-def gains(scenario: Scenario, nominal_gains: Callable[[Scenario], LoopGains]) -> LoopGains:
+def gains(scenario: Scenario, nominal_gains: Callable[[Scenario], Gains]) -> Gains:
     """The nominal gain at every delay of `scenario`."""
     return nominal_gains(scenario)
 
@@ -124,7 +124,6 @@ def decide_by_hand(smoke_scenario, nominal_gains):
     """Let a rule decide one handmade slot; returns the simulator after it, and the owners (K,)."""
     from hiersched.core.pointer import Pointer
     from hiersched.core.randomness import world_keys
-    from hiersched.policies.index_rules import CAPPED
     from hiersched.policies.registry import RULES
     from hiersched.simulator import Simulator
 
@@ -207,15 +206,11 @@ def decide_by_hand(smoke_scenario, nominal_gains):
             slot_s=0.01,
             service_coefficient_mbps=coefficient_mbps,
         )
-        scratch = simulator._scratch
-        scratch.words[:] = Pointer(
-            scratch.value._replace(terms=scratch.value.terms._replace(**terms))
-        ).words
         # What no rule writes is no user's.
         simulator._one.value.fields.prb_owner[:] = 10**6
         state.need_mbps[:] = state.index_weight[:] = np.nan
         owner = simulator.decide(
-            RULES[name](need=need) if name in CAPPED else RULES[name](),
+            RULES[name](need=need) if hasattr(RULES[name], "need") else RULES[name](),
             of_urllc["multiplier"][None, :num_urllc],
             weights=per_user(weight, num_users)[None],
         )

@@ -13,10 +13,8 @@ from typing import Any
 import grimp
 import pytest
 import yaml
-from hiersched.runs.paths import FIGURES, TABLES
 
 from hiersched.core.extras import EXTRA_OF
-from hiersched.scenario import load_scenario
 
 MAX_FILE_BYTES = 1024 * 1024
 
@@ -118,50 +116,6 @@ def test_numbers_in_yaml_are_numbers(project_root: Path) -> None:
 def test_makefile_has_the_promised_targets(project_root: Path) -> None:
     targets = make_targets((project_root / "Makefile").read_text(encoding="utf-8"))
     assert {"paper", "smoke", "test", "lint", "bench", "clean", "help"} <= targets
-
-
-@pytest.mark.parametrize("document", ["README.md", "docs/paper_notes.md"])
-def test_documents_keep_their_promises(project_root: Path, document: str) -> None:
-    """Every `make target` in a document exists, and so does every relative link."""
-    path = project_root / document
-    text = path.read_text(encoding="utf-8")
-    targets = make_targets((project_root / "Makefile").read_text(encoding="utf-8"))
-    assert set(re.findall(r"(?:^|`)make ([a-z]+)\b", text, flags=re.MULTILINE)) <= targets
-    links = [
-        link.partition("#")[0]
-        for link in re.findall(r"\]\(([^)\s]+)\)", text)
-        if not link.startswith(("http://", "https://", "#"))
-    ]
-    assert [link for link in links if not (path.parent / link).exists()] == []
-
-
-def test_readme_names_every_figure(project_root: Path) -> None:
-    text = (project_root / "README.md").read_text(encoding="utf-8")
-    expected = (
-        "fig2_rewards fig3_queues fig4_rate_cdf fig5_rayleigh fig6_sampling fig7_dexterity "
-        "fig8_violations figX_load table1_parameters table2_gain table3_rate policies"
-    )
-    assert {*expected.split()} <= {*FIGURES, *TABLES}
-    assert [name for name in (*FIGURES, *TABLES) if f"`{name}`" not in text] == []
-
-
-def test_readme_examples_import_what_exists(project_root: Path) -> None:
-    """Every Python example compiles, and each name that it imports is there."""
-    text = (project_root / "README.md").read_text(encoding="utf-8")
-    examples = re.findall(r"^```python\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
-    assert examples
-    for example in examples:
-        compile(example, "README.md", "exec")
-        imports = re.findall(r"^(?:import|from) .*$", example, flags=re.MULTILINE)
-        exec("\n".join(imports), {})
-
-
-def test_readme_scenario_is_valid(project_root: Path, tmp_path: Path) -> None:
-    text = (project_root / "README.md").read_text(encoding="utf-8")
-    (example,) = re.findall(r"^```yaml\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
-    file = tmp_path / "mine.yaml"
-    file.write_text(example, encoding="utf-8")
-    assert load_scenario(file).name == "mine"
 
 
 def test_notes_name_modules_that_exist(project_root: Path) -> None:
@@ -268,9 +222,3 @@ def test_version_is_the_same_everywhere(project_root: Path) -> None:
     ]
     citation = yaml.safe_load((project_root / "CITATION.cff").read_text(encoding="utf-8"))
     assert str(citation["version"]) == project["version"]
-
-
-def test_changelog_says_what_changes_results(project_root: Path) -> None:
-    text = (project_root / "CHANGELOG.md").read_text(encoding="utf-8")
-    assert "## [Unreleased]" in text
-    assert "### Changes results" in text

@@ -1,7 +1,8 @@
 """The Python snippets of the pages run from top to bottom, each page's in one namespace.
 
-Those of docs/control.md need nothing. README.md and docs/log.md read results, of `make paper`: they
-run on those of `make smoke` if HIERSCHED_RESULTS says where they lie, as `.ci/run` does.
+Those of README.md and docs/control.md need nothing. docs/results.md and docs/log.md read results of
+`make paper`: they run on those of `make smoke` if HIERSCHED_RESULTS says where they lie, as
+`.ci/run` does.
 """
 
 from __future__ import annotations
@@ -18,13 +19,14 @@ ON_SMOKE = {
     'load_scenario("paper")': 'load_scenario("smoke")',
     "results/paper": RESULTS or "",
     "seed1001": "seed101",
-    '"run.mcap"': f'"{RESULTS}/eval/pf/seed101_full.mcap"',
+    '"run.mcap"': f'"{RESULTS}/runs/evaluate/pf/seed101_full.mcap"',
 }
 """What a page says of its own results -> the same of the small pipeline's."""
 
 PAGES = {
+    "README.md": {},
     "docs/control.md": {},
-    "README.md": ON_SMOKE,
+    "docs/results.md": ON_SMOKE,
     "docs/log.md": ON_SMOKE,
 }
 """Page -> what is put in place of what."""
@@ -50,7 +52,7 @@ def test_snippets_run_from_top_to_bottom(page, project_root, monkeypatch):
 def test_every_page_with_snippets_is_run(project_root: Path) -> None:
     pages = [*project_root.glob("*.md"), *project_root.glob("docs/*.md")]
     pages += project_root.glob("src/hiersched/config/*.md")
-    # Those of docs/extending: tests/test_extending.py.
+    # Those of docs/extending: tests/test_extending.py and test_docs.py.
     found = {
         path.relative_to(project_root).as_posix()
         for path in pages

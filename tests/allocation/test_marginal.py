@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 import itertools
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from hiersched.allocation.assignment import assign_one_each, assignment_scratch
-from hiersched.allocation.in_order import allocate_by_urgency, allocate_in_turn, order_scratch
-from hiersched.allocation.marginal import (
-    UTILITY_LAGRANGIAN,
-    UTILITY_LINEAR,
-    UTILITY_LOG,
-    allocate_by_utility,
-    allocation_scratch,
-)
+from hiersched.allocation import ALLOCATE
+from hiersched.allocation.assignment import assign_one_each
+from hiersched.allocation.in_order import TurnWords, urgency_words
+from hiersched.allocation.marginal import CAPPED, LAGRANGIAN, LINEAR, LOG, marginal_words
 from hiersched.allocation.objective import user_lagrangian
+from hiersched.core.compiled import kernel
+from hiersched.core.pointer import Pointer
+from hiersched.core.seam import call_plug
 from hiersched.policies.index_rules import CLASSICAL
 
 SHAPES = [(1, 1), (1, 7), (2, 3), (5, 5), (8, 10), (20, 25), (25, 25), (80, 100), (3, 40)]
@@ -33,7 +33,7 @@ def random_rates(seed, num_users, num_prb):
 
 def assignment_cost(cost):
     num_users, num_prb = cost.shape
-    scratch = assignment_scratch(num_users, num_prb)
+    scratch = marginal_words(LOG, num_users, num_prb)
     scratch.cost[:, :num_prb] = cost
     scratch.nearest[:] = cost.argmin(axis=1)
     assign_one_each(scratch)
@@ -67,11 +67,56 @@ def test_equal_costs_are_assigned():
     assert assignment_cost(np.zeros((6, 9))) == 0.0
 
 
+class Constants(NamedTuple):
+    num_urllc: int
+    service_coefficient_mbps: float
+    offered_mbps: NDArray[np.float64]
+    rate_sensitivity: NDArray[np.float64]
+    arrival_packets_per_mbps: NDArray[np.float64]
+    service_packets_per_mbps: float
+    penalty_weight: float
+    epsilon: float
+    delay_exponent_per_mbps: float
+    violation_share: float
+
+
+class State(NamedTuple):
+    slot: NDArray[np.int64]
+    reported_rate_mbps: NDArray[np.float32]
+    weight: NDArray[np.float64]
+    index_weight: NDArray[np.float64]
+    need_mbps: NDArray[np.float64]
+    backlog_packets: NDArray[np.float64]
+    dexterity_index: NDArray[np.float64]
+    multiplier: NDArray[np.float64]
+
+
+class Slot(NamedTuple):
+    prb_owner: NDArray[np.uint32]
+
+
+@kernel()
+def call(plug, constants, state, slot):
+    call_plug(plug, constants, state, slot, 0)
+
+
+def run(words, rate, terms, *, weight=1.0, index=1.0, need=np.nan, slot=0):
+    """Owner of each PRB by an allocation in a world of its own, all of whose users are URLLC."""
+    num_users, num_prb = rate.shape
+    named = {name: getattr(terms, name) for name in Constants._fields[2:]}
+    constants = Constants(num_urllc=num_users, service_coefficient_mbps=1.0, **named)
+    of_users = (np.broadcast_to(np.asarray(x, float), num_users) for x in (weight, index, need))
+    rows = (*of_users, terms.backlog_packets, terms.service_offset_mbps, terms.multiplier)
+    state = State(np.array([slot]), rate[None], *(row[None].copy() for row in rows))
+    owner = Slot(np.full(num_prb, 10**6, np.uint32))
+    pointers = Pointer(constants), Pointer(state), Pointer(owner)
+    plug, _kept = ALLOCATE.plug(words, *pointers)
+    call(plug, *pointers)
+    return owner.prb_owner
+
+
 def allocate(utility, rate, weight, terms):
-    owner = np.full(rate.shape[1], 10**6, np.uint32)
-    scratch, need = allocation_scratch(*rate.shape), np.full(len(rate), np.nan)  # no need is read
-    allocate_by_utility(utility, 0, rate, weight, need, terms, scratch, owner)
-    return owner
+    return run(marginal_words(utility, *rate.shape), rate, terms, weight=weight)
 
 
 def greedy_twin(value, rate):
@@ -99,13 +144,13 @@ def test_prbs_that_harm_go_to_users_all_the_same(make_terms):
     """With a negative V every PRB is a loss; lanes without a user must not look better."""
     rate = random_rates(4, 5, 9)
     terms = make_terms(5, penalty_weight=-1.0)
-    owner = allocate(UTILITY_LAGRANGIAN, rate, np.ones(5), terms)
+    owner = allocate(LAGRANGIAN, rate, np.ones(5), terms)
     expected = greedy_twin(lambda u, r: -user_lagrangian(terms, u, r), rate)
     np.testing.assert_array_equal(owner, expected)
 
 
 @pytest.mark.parametrize("shape", [(1, 6), (3, 8), (8, 10), (12, 25)])
-@pytest.mark.parametrize("utility", [UTILITY_LOG, UTILITY_LINEAR, UTILITY_LAGRANGIAN])
+@pytest.mark.parametrize("utility", [LOG, LINEAR, LAGRANGIAN])
 def test_greedy_part_is_that_of_the_plain_twin(shape, utility, make_terms):
     for seed in range(10):
         rng = np.random.default_rng([seed, *shape])
@@ -120,9 +165,9 @@ def test_greedy_part_is_that_of_the_plain_twin(shape, utility, make_terms):
             multiplier=rng.uniform(0, 5, shape[0]),
         )
         value = {
-            UTILITY_LOG: lambda u, r, w=weight: w[u] * np.log(r),
-            UTILITY_LINEAR: lambda u, r, w=weight: w[u] * r,
-            UTILITY_LAGRANGIAN: lambda u, r, w=weight, t=terms: -w[u] * user_lagrangian(t, u, r),
+            LOG: lambda u, r, w=weight: w[u] * np.log(r),
+            LINEAR: lambda u, r, w=weight: w[u] * r,
+            LAGRANGIAN: lambda u, r, w=weight, t=terms: -w[u] * user_lagrangian(t, u, r),
         }[utility]
         np.testing.assert_array_equal(
             allocate(utility, rate, weight, terms), greedy_twin(value, rate)
@@ -139,7 +184,7 @@ def test_proportional_fairness_is_close_to_the_best_of_all_allocations(make_term
         def product(owner, rate=rate):
             return np.prod([rate[u, np.array(owner) == u].sum() for u in range(3)])
 
-        got = product(tuple(allocate(UTILITY_LOG, rate, np.ones(3), make_terms(3))))
+        got = product(tuple(allocate(LOG, rate, np.ones(3), make_terms(3))))
         best = max(product(o) for o in everyone)
         assert got <= best * (1 + 1e-6)
         losses.append(1 - (got / best) ** (1 / 3))  # of the geometric mean rate
@@ -204,16 +249,6 @@ def test_equal_weights_are_plain_proportional_fairness(schedule, size, seed):
     assert schedule("pf", rate, weight=np.exp(3.0 * 0.0)) == schedule("pf", rate, weight=4.0)
 
 
-def in_order(allocator, make_terms, rate, urgency=0.0, need=0.0, slot=0):
-    """Run one of the allocators that go through the users in an order."""
-    num_users, num_prb = rate.shape
-    urgency, need = (np.array(np.broadcast_to(x, num_users), float) for x in (urgency, need))
-    owner = np.full(num_prb, 10**6, np.uint32)
-    terms, scratch = make_terms(num_users), order_scratch(num_users, num_prb)
-    allocator(0, slot, rate, urgency, need, terms, scratch, owner)
-    return owner.tolist()
-
-
 def test_need_is_met_in_the_order_of_urgency(make_terms):
     """Three users, five PRBs. Order of urgency: 2, 0, 1, with one PRB each first.
 
@@ -221,21 +256,51 @@ def test_need_is_met_in_the_order_of_urgency(make_terms):
     brings 13. User 0 needs 20 and takes PRB 2 (1).
     """
     rate = np.array([[2, 8, 1, 3, 2], [1, 4, 3, 5, 1], [9, 7, 2, 3, 4]], np.float32)
-    given = {"urgency": [1.0, 0.0, 2.0], "need": [20.0, 0.0, 12.0]}
-    assert in_order(allocate_by_urgency, make_terms, rate, **given) == [2, 0, 0, 1, 2]
+    given = {"index": [1.0, 0.0, 2.0], "need": [20.0, 0.0, 12.0]}
+    owner = run(urgency_words(3, 5), rate, make_terms(3), **given)
+    assert owner.tolist() == [2, 0, 0, 1, 2]
 
 
 def test_what_nobody_needs_goes_around_in_the_same_order(make_terms):
     rate = np.array([[5, 4, 3, 2, 1], [1, 2, 3, 4, 5]], np.float32)
     # User 1 first: PRB 4; user 0: PRB 0; then 1: PRB 3, 0: PRB 1, 1: PRB 2.
-    got = in_order(allocate_by_urgency, make_terms, rate, urgency=[0.0, 1.0])
-    assert got == [0, 0, 1, 1, 1]
+    got = run(urgency_words(2, 5), rate, make_terms(2), index=[0.0, 1.0], need=0.0)
+    assert got.tolist() == [0, 0, 1, 1, 1]
 
 
 def test_turns_go_on_where_the_last_slot_stopped(make_terms):
     rate = np.ones((3, 4), np.float32)
-    rows = [in_order(allocate_in_turn, make_terms, rate, slot=slot) for slot in range(3)]
+    terms = make_terms(3)
+    rows = [run(TurnWords(), rate, terms, slot=slot).tolist() for slot in range(3)]
     assert rows == [[0, 1, 2, 0], [1, 2, 0, 1], [2, 0, 1, 2]]
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"index": [1.0, -0.1]}, "a weight that is negative or not finite"),
+        ({"weight": [1.0, np.nan]}, "a weight that is negative or not finite"),
+        ({"index": [np.inf, 1.0]}, "a weight that is negative or not finite"),
+    ],
+)
+def test_weights_that_cannot_be_are_refused(make_terms, given, message):
+    rate = random_rates(1, 2, 3)
+    with pytest.raises(ValueError, match=message):
+        run(marginal_words(LINEAR, 2, 3), rate, make_terms(2), **given)
+    if given.get("index") == [1.0, -0.1]:  # an urgency may be negative
+        run(urgency_words(2, 3), rate, make_terms(2), need=0.0, **given)
+    else:
+        given = {"index": given.get("index", given.get("weight"))}
+        with pytest.raises(ValueError, match=message):
+            run(urgency_words(2, 3), rate, make_terms(2), need=0.0, **given)
+
+
+@pytest.mark.parametrize("need", [-0.1, np.nan])
+def test_needs_that_cannot_be_are_refused(make_terms, need):
+    rate = random_rates(1, 2, 3)
+    for words in (marginal_words(CAPPED, 2, 3), urgency_words(2, 3)):
+        with pytest.raises(ValueError, match="a need that is negative or not a number, or none"):
+            run(words, rate, make_terms(2), need=[1.0, need])
 
 
 @pytest.mark.parametrize(
@@ -245,4 +310,4 @@ def test_turns_go_on_where_the_last_slot_stopped(make_terms):
 )  # fmt: skip
 def test_impossible_sizes_are_refused(shape, message):
     with pytest.raises(ValueError, match=message):
-        allocation_scratch(*shape)
+        marginal_words(LOG, *shape)

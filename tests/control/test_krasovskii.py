@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from hiersched.control import certify
-from hiersched.control.krasovskii import analyse_krasovskii
-from hiersched.control.krasovskii_synthesis import KrasovskiiSynthesis
+from hiersched.control.krasovskii import KrasovskiiSynthesis, analyse_krasovskii
 
 
 @pytest.mark.parametrize("steps", [0, 1, 8, 14, 15])

@@ -8,12 +8,13 @@ from hypothesis import strategies as st
 from hiersched.control import DelayedPlant, certify, spectral_radius_by_delay
 from hiersched.control.lmi import balance
 from hiersched.control.razumikhin import (
+    LargestMargin,
+    RazumikhinSynthesis,
     WeightedMap,
     analyse_delay_razumikhin,
     analyse_razumikhin,
     razumikhin_gamma,
 )
-from hiersched.control.razumikhin_synthesis import LargestMargin, RazumikhinSynthesis
 
 
 @given(st.floats(0.001, 0.5), st.integers(0, 40))

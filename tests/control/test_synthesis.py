@@ -15,8 +15,8 @@ from hiersched.control import (
     synthesise_krasovskii,
     synthesise_razumikhin,
 )
-from hiersched.control.krasovskii_fixed import FixedFunctional
-from hiersched.control.razumikhin_synthesis import LargestMargin
+from hiersched.control.krasovskii import FixedFunctional
+from hiersched.control.razumikhin import LargestMargin
 
 
 def test_every_public_name_is_there():

@@ -58,9 +58,9 @@ def exponentials(key=KEY, slot=3, count=500, scale=1.0):
     return out
 
 
-def normals(key=KEY, slot=3, robots=10):
-    out = np.empty((robots, 5), np.float32)
-    draw_normals(key, slot, normal_scratch(robots), out)
+def normals(key=KEY, slot=3, robots=10, width=5):
+    out = np.empty((robots, width), np.float32)
+    draw_normals(key, slot, normal_scratch(robots, width), out)
     return out
 
 
@@ -111,19 +111,20 @@ def test_exponentials_are_the_twins(count):
     np.testing.assert_allclose(got, expected, rtol=1e-6, atol=5e-7)
 
 
-@pytest.mark.parametrize("robots", [1, 3, 10])
-def test_normals_are_the_twins(robots):
+@pytest.mark.parametrize(("robots", "width"), [(1, 5), (3, 5), (10, 5), (3, 4), (7, 6), (1, 2)])
+def test_normals_are_the_twins(robots, width):
     """Box and Muller's pairs, laid out as the docstring says."""
-    blocks = (6 * robots + 3) // 4
+    rows = -(-robots * width // 5)
+    blocks = (6 * rows + 3) // 4
     table = [philox_twin((i, 0, 5, int(STREAM_ROBOT)), words(KEY)) for i in range(blocks)]
     unit = ((np.array(table).T.reshape(-1) >> 9) + 0.5) / 2**23
-    half = 3 * robots
+    half = 3 * rows
     radius, angle = np.sqrt(-2 * np.log(unit[:half])), 2 * np.pi * unit[half : 2 * half]
     flat = np.concatenate([-radius * np.cos(angle), -radius * np.sin(angle)])
-    got = normals(slot=5, robots=robots)
-    for robot in range(robots):
-        for j in range(5):
-            assert got[robot, j] == pytest.approx(flat[j * robots + robot], abs=2e-5)
+    got = normals(slot=5, robots=robots, width=width).reshape(-1)
+    for i, value in enumerate(got):
+        row, j = divmod(i, 5)
+        assert value == pytest.approx(flat[j * rows + row], abs=2e-5)
 
 
 def stream_normals(stream=FIRST_FREE_STREAM, slot=5, lane=0, count=50):

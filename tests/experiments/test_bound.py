@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 
 from hiersched.allocation.exact import exact_allocation, lagrangian, owned_rates
+from hiersched.allocation.objective import slot_terms
 from hiersched.experiments import files
 from hiersched.experiments.bound import compute_bound, greedy_assignment, sampled_slots
 from hiersched.experiments.gains import load_gains
 from hiersched.experiments.worlds import seed_worlds
-from hiersched.policies.exact import slot_terms
 from hiersched.scenario import Scenario
 from hiersched.simulator import Simulator
 
@@ -80,7 +80,7 @@ def test_values_are_those_of_the_first_slot(tiny: Scenario, results: Path, run: 
     simulator = Simulator(scenario, gains, seed_worlds("evaluate", [11]), 1)
     rate = simulator.state.prb_rate_mbps[0].copy()
     robots = np.full(2, scenario.robot.initial_dexterity_index)
-    terms = slot_terms(simulator.constants, np.zeros(4), robots, np.zeros(2))
+    terms = slot_terms(simulator.constants, np.zeros(4), robots, np.zeros(2), np.zeros((2, 4)))
     best = exact_allocation(rate, terms)
     assert float(row["exact"]) == pytest.approx(best.value)
     rates = owned_rates(rate, simulator.run("pf").prb_owner[0, 0])
@@ -93,7 +93,8 @@ def test_terms_of_a_slot_have_the_offset_of_the_dexterity_index(
     _, gains = load_gains(results / "gains/schedule.json", tiny)
     constants = Simulator(tiny, gains, seed_worlds("evaluate", [11]), 1).constants
     backlog, multiplier = np.array([1.0, 2.0, 3.0, 4.0]), np.array([5.0, 6.0])
-    terms = slot_terms(constants, backlog, np.array([0.6, 0.8]), multiplier)
+    dexterity = np.array([0.6, 0.8])
+    terms = slot_terms(constants, backlog, dexterity, multiplier, np.zeros((2, 4)))
     beta = tiny.traffic.service_coefficient_mbps
     assert terms.service_offset_mbps.tolist() == [beta * 0.6, beta * 0.8, 0.0, 0.0]
     assert terms.backlog_packets.tolist() == backlog.tolist()

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from hiersched.control import Certificate, build_schedule
+from hiersched.experiments.events import slot_events, stretches
 from hiersched.experiments.gains import load_gains
-from hiersched.runs.events import slot_events, stretches
 from hiersched.scenario import Scenario
 from hiersched.simulator.loop_gains import plant_of
 
@@ -77,7 +77,7 @@ def test_uncertified_gains_are_reported_while_they_are_in_force(tiny: Scenario) 
 
 def test_gains_without_certificate_are_reported(tiny: Scenario, designed) -> None:
     schedule, _ = load_gains(designed / "gains" / "schedule.json", tiny)
-    unproven = Certificate.without_witness(schedule.certificates[2].spectral_radii)
+    unproven = Certificate(spectral_radii=schedule.certificates[2].spectral_radii)
     broken = replace(
         schedule,
         status=("nominal", "nominal", "infeasible"),

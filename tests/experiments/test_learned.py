@@ -15,17 +15,17 @@ from hiersched.experiments import files
 from hiersched.experiments import train as stage
 from hiersched.experiments.gains import load_gains
 from hiersched.experiments.learned import learned_policies
+from hiersched.experiments.logging import RunLabel
 from hiersched.experiments.points import experiments
 from hiersched.experiments.run import run_experiment, slots_of
 from hiersched.experiments.train import train_and_log
 from hiersched.experiments.worlds import run_worlds, seed_worlds
 from hiersched.learning.policy import TrainedPolicy
 from hiersched.log import LogReader
-from hiersched.runs.logging import RunLabel
 from hiersched.scenario import Scenario
 from hiersched.scenario.schema import checkpoint_rounds
 from hiersched.simulator import Simulator
-from hiersched.simulator.loop_gains import LoopGains
+from hiersched.simulator.loop_gains import Gains
 from hiersched.study.metrics import measured_row, metrics_row, run_metrics
 
 Run = Callable[..., None]
@@ -283,6 +283,6 @@ def test_what_is_no_longer_asked_for_disappears(
 
 def test_fewer_worlds_than_policies(tiny: Scenario, trained: Path) -> None:
     source = learned_policies([trained / name for name in files.policy_files(tiny, "ddpg")])
-    gains = LoopGains.memoryless(np.zeros((tiny.max_delay_steps + 1, 2, 5)))
+    gains = Gains.memoryless(np.zeros((tiny.max_delay_steps + 1, 2, 5)))
     runs = run_worlds(tiny, gains, source(tiny, "ddpg"), "evaluate", (5,), 2)
     assert [(run.seed, run.logged) for run in runs] == [(5, True), (5, False)]

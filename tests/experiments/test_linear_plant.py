@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from hiersched.experiments.gains import design_gains, design_of, designs
+from hiersched.experiments.logged import load_run
 from hiersched.experiments.points import experiments
 from hiersched.experiments.run import run_experiment
 from hiersched.experiments.worlds import untrained_policies
 from hiersched.log import LogReader
 from hiersched.replay.verify import verify
-from hiersched.runs.logged import load_run
 from hiersched.scenario import Scenario, load_scenario
 from hiersched.study.metrics import measured_row
 

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from hiersched.experiments import files
+from hiersched.experiments.logged import load_run, read_slots
 from hiersched.experiments.points import experiments
 from hiersched.log import TOPICS, LogError, LogReader, LogWriter
-from hiersched.runs.logged import load_run, read_slots
 from hiersched.scenario import Scenario
 
 Evaluate = Callable[..., Scenario]

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from hiersched.env import agent_views
-from hiersched.learning.ddpg import Learner
+from hiersched.learning.ddpg import Ddpg
 from hiersched.learning.replay_buffer import Transitions
 from hiersched.learning.stack import StackedAdam
 
@@ -20,7 +20,8 @@ def learner_for(scenario, **changes):
         scenario.learning,
         **{"seeds": (1, 2), "hidden": (3,), "critic_warmup_updates": 0, **changes},
     )
-    return Learner(replace(scenario, learning=learning)), learning
+    generators = [np.random.default_rng(seed) for seed in learning.seeds]
+    return Ddpg(replace(scenario, learning=learning), generators), learning
 
 
 def random_batch(size=4, seeds=2, users=5, urllc=3):

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hiersched.learning.algorithm import Outcome
 from hiersched.learning.replay_buffer import ReplayBuffer
 
 SEEDS, ENVS, SLOTS, ROUNDS, USERS, URLLC = 2, 3, 4, 2, 3, 2
@@ -28,7 +29,12 @@ def fill(replay, episodes, slots_of_last):
         replay.start_round(at(0, (USERS, 8)))
         for slot in range(SLOTS if episode < episodes - 1 else slots_of_last):
             replay.add(
-                at(slot, (USERS,)), at(slot, (USERS,)), at(slot, (URLLC,)), at(slot + 1, (USERS, 8))
+                Outcome(
+                    prb_count=at(slot, (USERS,)),
+                    base_reward=at(slot, (USERS,)),
+                    constraint=at(slot, (URLLC,)),
+                    next_features=at(slot + 1, (USERS, 8)),
+                )
             )
             seen.append((episode, slot))
     return {

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hiersched.experiments.logging import RunLabel, open_log, slice_fields
 from hiersched.log import LogReader
-from hiersched.runs.logging import RunLabel, open_log, slice_fields
 from hiersched.scenario import Scenario, load_scenario, scenario_sha256
 
 

@@ -2,8 +2,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-
 from hiersched.models.channel.link_budget import large_scale_gain, snr_per_fading_power
+
 from hiersched.models.link.shannon import prb_rates
 
 PRB_MHZ = 10e6 / 25 * 1e-6

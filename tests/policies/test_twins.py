@@ -8,8 +8,11 @@ import numpy as np
 import pytest
 from scipy.optimize import linear_sum_assignment
 
-from hiersched.policies.index_rules import CAPPED, CLASSICAL
+from hiersched.policies.index_rules import CLASSICAL
 from hiersched.policies.needs import NEEDS
+from hiersched.policies.registry import RULES
+
+CAPPED = tuple(name for name in CLASSICAL if hasattr(RULES[name], "need"))
 
 U, R, K = 7, 4, 12  # users, URLLC users among them, PRBs
 

@@ -7,19 +7,17 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hiersched.runs.evaluate import evaluate
-from hiersched.runs.gain_study import gain_study
-from hiersched.runs.gains import design_gains
-from hiersched.runs.generalise import generalise
-from hiersched.runs.learned import learned_policies
-from hiersched.runs.policies import untrained_policies
-from hiersched.runs.sweep import sweep
-from hiersched.runs.train import train_and_log
-from hiersched.runs.variants import gain_designs
 
+from hiersched.experiments import files
+from hiersched.experiments.gains import design_gains, designs
+from hiersched.experiments.learned import learned_policies
+from hiersched.experiments.points import experiments, groups
+from hiersched.experiments.run import run_experiment
+from hiersched.experiments.train import train_and_log
+from hiersched.experiments.worlds import untrained_policies
 from hiersched.log import LogReader, LogWriter
-from hiersched.runs import paths
 from hiersched.scenario import Scenario, load_scenario
+from hiersched.study.metrics import measured_row
 
 # Two worlds for each learned policy: they run side by side. Windows of a tenth of a second: the
 # dexterity index changes within a run. Delays beyond the table: events.
@@ -35,11 +33,13 @@ learning: {seeds: [1], episodes: 4, slots_per_episode: 12, num_envs: 2, hidden: 
 learners: {flat: {algorithm: a2c, network: mlp, start: drift_plus_penalty, seeds: [2]}}
 evaluate: {seeds: [11, 12], warmup_s: 0.1, duration_s: 0.3, full_logs: 0,
            policies: [ddpg, flat, pf, edf, drift_plus_penalty]}
-sweeps: {seeds: [21], warmup_s: 0.0, duration_s: 0.1, policies: [ddpg, pf], rayleigh_scale: [0.5],
-         sampling_s: [0.02], reference: [arc], load: [0.9], load_ratio: [1.0],
-         service_coefficient_mbps: [2.0]}
+sweeps: {seeds: [21], warmup_s: 0.0, duration_s: 0.1, policies: [ddpg, pf],
+         axes: {rayleigh_scale: {vary: {radio.fading.scale: [0.5]}},
+                reference: {vary: {robot.reference: [arc]}}, sampling_s: null, load: null,
+                load_ratio: null, service_coefficient_mbps: null}}
 generalise: {seeds: [41], warmup_s: 0.0, duration_s: 0.1, policies: [ddpg, pf], cells: [[3, 2, 6]]}
-gain_study: {seeds: [31], num_robots: 3, num_windows: 3, violation_windows: [2]}
+gain_study: {seeds: [31], num_robots: 3, num_windows: 3, violation_windows: [2], weight: [],
+             sampling_s: [], noise_position_m: [], noise_heading_rad: []}
 log: {chunk_bytes: 16384, evaluate_profile: full, sweep_profile: compact}
 """
 
@@ -55,20 +55,16 @@ def small(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Scena
 def study(small: Scenario, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Folder of a whole study; tests must not write here."""
     results = tmp_path_factory.mktemp("study")
-    for design in gain_designs(small):
-        design_gains(small, design, results / paths.gain_file(design))
-    learned = {}
+    for design in designs(small):
+        design_gains(small, design, results / files.gain_file(design))
+    sources = {"classical": untrained_policies, "gains": untrained_policies}
     for learner in small.learned:
         train_and_log(small, learner, results, "code", show=False)
-        files = paths.policy_files(small, learner)
-        learned[learner] = learned_policies([results / name for name in files])
-    evaluate(small, results, "flat", learned["flat"])
-    for group, run in (("classical", untrained_policies), ("ddpg", learned["ddpg"])):
-        evaluate(small, results, group, run)
-        for axis in ("rayleigh_scale", "reference"):
-            sweep(small, results, axis, group, run)
-        generalise(small, results, group, run)
-    gain_study(small, results)
+        weights = [results / name for name in files.policy_files(small, learner)]
+        sources[learner] = learned_policies(weights)
+    for name, experiment in experiments(small).items():
+        for group in groups(small, experiment):
+            run_experiment(small, results, name, group, sources[group], measured_row)
     return results
 
 

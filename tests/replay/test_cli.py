@@ -10,7 +10,7 @@ import pytest
 from hiersched.cli import main
 from hiersched.log import LogReader
 
-PF = "eval/pf/seed11.mcap"
+PF = "runs/evaluate/pf/seed11.mcap"
 
 
 def test_replay_says_ok_or_where(
@@ -23,7 +23,7 @@ def test_replay_says_ok_or_where(
     def change(fields: dict, events: list, metadata: dict) -> None:
         fields["backlog_packets"][21, 3] *= 1 + 2**-52
 
-    ddpg = str(study / "eval/ddpg/seed11.mcap")
+    ddpg = str(study / "runs/evaluate/ddpg/seed11.mcap")
     assert main(["replay", ddpg]) == 0
     out = capsys.readouterr().out
     assert out.endswith("decisions are those of the log: --policy asks the policy again\n")
@@ -51,9 +51,11 @@ def test_counterfactual_shows_what_differs(
 
 
 def test_compare_takes_several(study: Path, capsys: pytest.CaptureFixture) -> None:
-    logs = [str(study / f"eval/{policy}/seed11.mcap") for policy in ("pf", "edf", "ddpg", "pf")]
+    logs = [
+        str(study / f"runs/evaluate/{policy}/seed11.mcap") for policy in ("pf", "edf", "ddpg", "pf")
+    ]
     assert main(["compare", *logs]) == 0
     text = capsys.readouterr().out
     assert text.count("95 % intervals of the paired difference over 20 stretches") == 3
     assert text.endswith("the logs say the same, bit for bit\n")
-    assert main(["compare", logs[0], str(study / "eval/pf/seed12.mcap")]) == 2
+    assert main(["compare", logs[0], str(study / "runs/evaluate/pf/seed12.mcap")]) == 2

@@ -13,7 +13,7 @@ from hiersched.log import LogError, LogReader
 from hiersched.replay.compare import MOST_BATCHES, compare_logs
 from hiersched.replay.measures import batch_means
 
-PF, EDF = "eval/pf/seed11.mcap", "eval/edf/seed11.mcap"
+PF, EDF = "runs/evaluate/pf/seed11.mcap", "runs/evaluate/edf/seed11.mcap"
 
 
 def test_a_log_does_not_differ_from_itself(study: Path) -> None:
@@ -69,9 +69,11 @@ def test_where_runs_part(study: Path, tmp_path: Path, rewrite: Any) -> None:
 
 def test_runs_of_other_worlds_are_not_paired(study: Path, tmp_path: Path, rewrite: Any) -> None:
     with pytest.raises(LogError, match=r"another world than that of .*: seed is 12, not 11"):
-        compare_logs(study / PF, study / "eval/pf/seed12.mcap")
+        compare_logs(study / PF, study / "runs/evaluate/pf/seed12.mcap")
     disguised = rewrite(
-        study / "eval/pf/seed12.mcap", tmp_path / "a.mcap", lambda f, e, m: m.update(seed="11")
+        study / "runs/evaluate/pf/seed12.mcap",
+        tmp_path / "a.mcap",
+        lambda f, e, m: m.update(seed="11"),
     )
     with pytest.raises(LogError, match="/channel mean_fading_power differs from slot 0 on"):
         compare_logs(study / PF, disguised)
@@ -82,4 +84,4 @@ def test_runs_of_other_worlds_are_not_paired(study: Path, tmp_path: Path, rewrit
     with pytest.raises(LogError, match="/world arrival_uniform differs from slot 7 on"):
         compare_logs(study / PF, rewrite(study / PF, tmp_path / "b.mcap", change))
     with pytest.raises(LogError, match="dims is"):
-        compare_logs(study / PF, study / "gain_study/krasovskii_nominal_seed31.mcap")
+        compare_logs(study / PF, study / "runs/gain_study/krasovskii/nominal/seed31.mcap")

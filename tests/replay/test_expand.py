@@ -8,18 +8,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hiersched.runs.evaluate import evaluate
-from hiersched.runs.learned import learned_policies
-from hiersched.runs.policies import untrained_policies
-from hiersched.runs.train import train_and_log
 
 from hiersched.cli import main
+from hiersched.experiments import files
+from hiersched.experiments.learned import learned_policies
+from hiersched.experiments.logged import load_run
+from hiersched.experiments.run import run_experiment
+from hiersched.experiments.train import train_and_log
+from hiersched.experiments.worlds import untrained_policies
 from hiersched.log import LogReader, log_digest
 from hiersched.replay.compare import compare_logs
 from hiersched.replay.verify import expand, verify
-from hiersched.runs import paths
-from hiersched.runs.logged import load_run
 from hiersched.scenario import Scenario
+from hiersched.study.metrics import measured_row
 
 TRAINING = "train/ddpg/seed1.mcap"
 
@@ -32,9 +33,9 @@ def otherwise(small: Scenario, study: Path, tmp_path_factory: pytest.TempPathFac
     log = replace(small.log, train_profile="full", evaluate_profile="compact")
     other = replace(small, log=log)
     train_and_log(other, "ddpg", results, "code", show=False)
-    learned = learned_policies([study / name for name in paths.policy_files(small, "ddpg")])
+    learned = learned_policies([study / name for name in files.policy_files(small, "ddpg")])
     for group, run in (("classical", untrained_policies), ("ddpg", learned)):
-        evaluate(other, results, group, run)
+        run_experiment(other, results, "evaluate", group, run, measured_row)
     return results
 
 
@@ -43,7 +44,7 @@ def fields_of(path: Path) -> dict[str, np.ndarray]:
         return {name: value for topic in log.topics for name, value in log.read(topic).items()}
 
 
-@pytest.mark.parametrize("name", ["eval/pf/seed11.mcap", "eval/ddpg/seed12.mcap"])
+@pytest.mark.parametrize("name", ["runs/evaluate/pf/seed11.mcap", "runs/evaluate/ddpg/seed12.mcap"])
 def test_a_compact_evaluation_becomes_the_full_one(
     name: str, study: Path, otherwise: Path, tmp_path: Path
 ) -> None:
@@ -55,8 +56,10 @@ def test_a_compact_evaluation_becomes_the_full_one(
 
 
 def test_a_full_log_becomes_its_equal(study: Path, tmp_path: Path) -> None:
-    assert expand(load_run(study / "eval/pf/seed11.mcap"), tmp_path / "a.mcap") is None
-    assert (tmp_path / "a.mcap").read_bytes() == (study / "eval/pf/seed11.mcap").read_bytes()
+    assert expand(load_run(study / "runs/evaluate/pf/seed11.mcap"), tmp_path / "a.mcap") is None
+    assert (tmp_path / "a.mcap").read_bytes() == (
+        study / "runs/evaluate/pf/seed11.mcap"
+    ).read_bytes()
 
 
 def test_decisions_of_a_training_become_all_but_its_weights(
@@ -101,7 +104,7 @@ def test_what_differs_is_not_written(study: Path, tmp_path: Path, rewrite: Any) 
         path = rewrite(study / TRAINING, tmp_path / f"{number}.mcap", tamper)
         found = expand(load_run(path), tmp_path / "new/full.mcap")
         assert found is not None
-        assert (found.slot, found.topic) == (21, "/slices") or found.topic == "/events"
+        assert (found.slot, found.topic) == (21, "/delay") or found.topic == "/events"
         assert list((tmp_path / "new").iterdir()) == []
 
 

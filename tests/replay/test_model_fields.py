@@ -10,17 +10,16 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hiersched.runs.evaluate import evaluate
-from hiersched.runs.gain_study import gain_study
-from hiersched.runs.policies import untrained_policies
 
 from hiersched.cli import main
 from hiersched.core import registry
+from hiersched.experiments.logged import load_run, read_slots
+from hiersched.experiments.run import run_experiment
+from hiersched.experiments.worlds import untrained_policies
 from hiersched.log import LogError, LogReader, log_digest
 from hiersched.replay.verify import expand, verify
-from hiersched.runs import paths
-from hiersched.runs.logged import load_run, read_slots
 from hiersched.scenario import load_scenario
+from hiersched.study.metrics import measured_row
 
 PLUGIN = '''
 from dataclasses import dataclass
@@ -100,8 +99,8 @@ evaluate: {{seeds: [11], warmup_s: 0.0, duration_s: 0.3, full_logs: 0, policies:
 gain_study: {{seeds: [31], num_robots: 3, num_windows: 3, violation_windows: [2]}}
 log: {{chunk_bytes: 16384}}
 """
-LOG = "eval/pf/seed11.mcap"
-ROBOTS = "gain_study/krasovskii_adjusted_seed31.mcap"
+LOG = "runs/evaluate/pf/seed11.mcap"
+ROBOTS = "runs/gain_study/krasovskii/adjusted/seed31.mcap"
 
 
 @pytest.fixture(scope="module")
@@ -126,8 +125,10 @@ def told(
             results[profile].mkdir()
             (results[profile] / "gains").symlink_to(study / "gains")
             log = replace(scenario.log, evaluate_profile=profile)
-            evaluate(replace(scenario, log=log), results[profile], "classical", untrained_policies)
-        gain_study(scenario, results["full"])
+            own = replace(scenario, log=log), results[profile]
+            run_experiment(*own, "evaluate", "classical", untrained_policies, measured_row)
+        own = scenario, results["full"]
+        run_experiment(*own, "gain_study", "gains", untrained_policies, measured_row)
         yield results
     sys.modules.pop(plugin.stem, None)
     registry._forget(plugin.resolve())
@@ -224,7 +225,9 @@ def test_studies_read_them_from_any_log(
 
 
 def test_logs_without_them_have_none(study: Path) -> None:
-    fields = read_slots(study / "eval/pf/seed11.mcap", ["model_values", "rate_mbps"]).fields
+    fields = read_slots(
+        study / "runs/evaluate/pf/seed11.mcap", ["model_values", "rate_mbps"]
+    ).fields
     assert fields["model_values"].shape == (len(fields["rate_mbps"]), 0)
 
 
@@ -243,4 +246,3 @@ def test_commands(told: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureF
         assert ("\n/models " in text) is topic
     header = (tmp_path / "tables/models.csv").read_text().splitlines()[0].split(",")
     assert header[2:4] == ["radio.fading/coherence[0]", "radio.fading/coherence[1]"]
-    assert paths.evaluation_log("pf", 11) == LOG

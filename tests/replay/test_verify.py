@@ -12,19 +12,21 @@ from typing import Any
 import numpy as np
 import pytest
 import yaml
-from hiersched.runs.gain_study import delays_of_run, gain_sweep
-from hiersched.runs.gains import design_gains
-from hiersched.runs.variants import gain_designs
 
+from hiersched.experiments import files, logged
+from hiersched.experiments.gains import design_gains, designs
+from hiersched.experiments.logged import load_run
+from hiersched.experiments.points import experiments, logged_delays
+from hiersched.experiments.run import run_experiment
+from hiersched.experiments.worlds import untrained_policies
 from hiersched.log import TOPICS, LogError, LogReader, LogWriter
 from hiersched.replay.verify import expand, verify
-from hiersched.runs import logged, paths
-from hiersched.runs.logged import load_run
 from hiersched.scenario import Scenario
+from hiersched.study.metrics import measured_row
 
-FULL = "eval/edf/seed12.mcap"
+FULL = "runs/evaluate/edf/seed12.mcap"
 EVALUATED = ("ddpg", "flat", "pf", "edf", "drift_plus_penalty")
-SWEEP = "sweep/reference/ddpg/arc_seed21.mcap"
+SWEEP = "runs/reference/arc/ddpg/seed21.mcap"
 TOPIC_OF = {field.name: name for name, topic in TOPICS.items() for field in topic.fields}
 
 
@@ -53,7 +55,7 @@ def test_batches_are_the_same_run(study: Path, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(logged, "BATCH_SLOTS", 7)
     seen: list[int] = []
     training = "train/ddpg/seed1.mcap", "train/ddpg/checkpoints_seed1.mcap"
-    for name in (FULL, *training, "gain_study/krasovskii_adjusted_seed31.mcap"):
+    for name in (FULL, *training, "runs/gain_study/krasovskii/adjusted/seed31.mcap"):
         run = load_run(study / name)
         assert sum(batch.num_envs * batch.num_slots for batch in run.batches()) == run.num_slots
         assert len(list(run.batches())) >= 4
@@ -81,7 +83,7 @@ def test_one_changed_bit_is_caught_with_slot_and_field(
     # Decisions of learned policies are what the log alone knows: owners or weights.
     taken = {"slot"} if name == FULL else {"slot", "prb_owner" if "train" in name else "weight"}
     for number, field in enumerate(field for field in fields if field not in taken):
-        slot = (14 if "sweep" not in name else 1) + number % 9
+        slot = (14 if "reference" not in name else 1) + number % 9
         path = rewrite(study / name, tmp_path / "a.mcap", flip(field, slot, number % 32))
         found = verify(load_run(path))
         assert found is not None, field
@@ -104,7 +106,7 @@ def test_the_first_of_two_changes_is_named(study: Path, tmp_path: Path, rewrite:
 
 
 def test_forced_delays_come_from_the_seed_too(study: Path, tmp_path: Path, rewrite: Any) -> None:
-    name = "gain_study/krasovskii_adjusted_seed31.mcap"
+    name = "runs/gain_study/krasovskii/adjusted/seed31.mcap"
     assert expand(load_run(study / name), tmp_path / "full.mcap") is None
     for log, field in (
         (study / name, "delay_steps"),
@@ -121,21 +123,28 @@ def test_delays_of_a_gain_sweep_are_drawn_again(
     small: Scenario, study: Path, tmp_path: Path
 ) -> None:
     """Each point has delays of its own."""
-    fast = replace(
-        small,
-        gain_study=replace(small.gain_study, weight=(700.0,), fixed_delay_s=(0.02, 0.04),
-                           sweep_robots=2),
+    study_of = replace(
+        small.gain_study, weight=(700.0,), fixed_delay_s=(0.02, 0.04), sweep_robots=2,
+        noise_position_m=(0.0, 0.01), noise_heading_rad=(0.0, 0.02),
     )  # fmt: skip
-    for design in gain_designs(fast):
-        design_gains(fast, design, tmp_path / paths.gain_file(design))
-    for axis in ("grid", "noise"):
-        gain_sweep(fast, tmp_path, axis)
-    logs = sorted((tmp_path / "gain_study").rglob("*.mcap"))
-    assert len(logs) == 4 + 8
+    fast = replace(small, gain_study=study_of)
+    for design in designs(fast):
+        design_gains(fast, design, tmp_path / files.gain_file(design))
+    names = ("gain_grid", "gain_noise")
+    for name in names:
+        run_experiment(fast, tmp_path, name, "gains", untrained_policies, measured_row)
+    logs = [path for name in names for path in sorted((tmp_path / "runs" / name).rglob("*.mcap"))]
+    assert len(logs) == 4 + 4
     for path in logs:
         assert verify(load_run(path)) is None, path
-    with pytest.raises(ValueError, match=r"grid = 'q7_1': must be one of q700_0\.02, q700_0\.04"):
-        delays_of_run(fast, "grid", "q7_1", np.zeros(1, np.uint64), 3)
+        run = load_run(path)
+        without = {key: value for key, value in run.metadata.items() if key != "delays"}
+        # Logs of release 0.1 carry no delays: they follow from the point.
+        assert logged_delays(run.scenario, without) == logged_delays(run.scenario, run.metadata)
+    (low, high) = (p.delays for p in experiments(fast)["gain_grid"].points)
+    assert low is not None
+    assert high is not None
+    assert (low.violation_s, high.violation_s) == ((0.02, 0.02), (0.04, 0.04))
 
 
 def test_owners_that_nobody_can_decide_are_refused(

@@ -12,12 +12,12 @@ import pytest
 
 from hiersched.cli import main
 from hiersched.core.fields import Field
+from hiersched.experiments.logged import load_run, read_slots
 from hiersched.log import LogError, LogReader, log_digest
 from hiersched.replay.compare import compare_logs
 from hiersched.replay.verify import verify
-from hiersched.runs.logged import load_run, read_slots
 
-PF, DDPG = "eval/pf/seed11.mcap", "eval/ddpg/seed11.mcap"
+PF, DDPG = "runs/evaluate/pf/seed11.mcap", "runs/evaluate/ddpg/seed11.mcap"
 TORQUE = Field("/robots", "torque_nm", "<f4", ("R", 2), "N m", "of both wheels", ("full",))
 HARQ = Field("/harq", "failed_blocks", "<u4", ("U",), "1", "blocks that failed", ("full",))
 

@@ -28,7 +28,7 @@ from hiersched.replay.viewer_topics import (
     write_viewer_topics,
 )
 
-LOG = "eval/pf/seed11.mcap"
+LOG = "runs/evaluate/pf/seed11.mcap"
 
 
 @pytest.mark.parametrize(
@@ -141,7 +141,7 @@ def test_foxglove_layout_names_panels_and_fields_that_exist() -> None:
 def test_poses_need_the_full_profile(
     study: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for folder, profile in (("train", "decisions"), ("sweep", "compact")):
+    for folder, profile in (("train", "decisions"), ("runs/reference", "compact")):
         log = next((study / folder).rglob("*.mcap"))
         assert main(["export", str(log), "--viewer", "--out", str(tmp_path / "out")]) == 2
         wanted = f"poses need state and reference, which the profile {profile} leaves out"

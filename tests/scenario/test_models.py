@@ -9,14 +9,14 @@ from types import ModuleType
 
 import pytest
 import yaml
+from hiersched.runs import dependencies
 from hiersched.runs.variants import swept_policies
 
 from hiersched.core import registry
 from hiersched.core.registry import ALGORITHMS, PluginError, load_plugin
 from hiersched.models.model import PATH_LOSS, SECTIONS
-from hiersched.policies.imported import ImportedPolicy
+from hiersched.policies.find import ImportedPolicy
 from hiersched.policies.registry import RULES
-from hiersched.runs import dependencies
 from hiersched.scenario import (
     ScenarioError,
     load_resolved,

@@ -7,9 +7,9 @@ from functools import partial
 
 import numpy as np
 import pytest
+from hiersched.runs import dependencies
 from hiersched.runs.variants import check_variants
 
-from hiersched.runs import dependencies
 from hiersched.scenario import ScenarioError, scenario_sha256, scenario_to_yaml
 
 SHORT = "evaluate: {warmup_s: 0.5, duration_s: 1.5, full_log_s: 1.0}\nsweeps: {warmup_s: 0.0, duration_s: 2.0}\ngain_study: {num_windows: 2, violation_windows: [2]}\n"  # noqa: E501

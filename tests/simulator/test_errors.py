@@ -9,7 +9,7 @@ import pytest
 
 from hiersched.core.randomness import world_keys
 from hiersched.policies.policy import LoggedDecisions
-from hiersched.simulator.loop_gains import LoopGains
+from hiersched.simulator.loop_gains import Gains
 
 
 def test_unknown_policy(make_simulator):
@@ -60,7 +60,7 @@ def test_gains_of_another_horizon(make_simulator, smoke_scenario):
     needed = smoke_scenario.max_delay_steps + 1
     for local, network, name in ((needed, 2, "network"), (needed + 1, needed, "local")):
         gains = replace(
-            LoopGains.memoryless(np.zeros((needed, 2, 5))),
+            Gains.memoryless(np.zeros((needed, 2, 5))),
             local_gains=np.zeros((local, 2, 5)),
             network_gains=np.zeros((network, 2, 5)),
         )

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from hiersched.allocation.exact import owned_rates
-from hiersched.allocation.objective import user_lagrangian
-from hiersched.policies.exact import ExactPolicy, slot_terms
+from hiersched.allocation.objective import slot_terms, user_lagrangian
+from hiersched.policies.find import ExactPolicy
 from hiersched.policies.index_rules import CLASSICAL, LogRule, MaxWeight
 from hiersched.policies.policy import LoggedWeights, Owners, View, Weigher, Weights
 from hiersched.policies.registry import RULES, Rule
@@ -398,6 +398,7 @@ def test_the_exact_optimum_is_at_least_as_good_as_drift_plus_penalty(make_simula
                 state.backlog_packets[env],
                 state.dexterity_index[env],
                 multipliers[env],
+                np.zeros((2, 4)),
             )
             value = {}
             for name, owners in found.items():

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from hiersched.control import build_schedule, hold_delays
+from hiersched.experiments.events import entries_in_force
 from hiersched.models.plant.unicycle import SLIP, STATE
-from hiersched.runs.events import entries_in_force
-from hiersched.simulator.loop_gains import LoopGains, loop_gains, plant_of
+from hiersched.simulator.loop_gains import Gains, loop_gains, plant_of
 
 STILL = {
     "slip_speed_mps": 0.0,
@@ -30,7 +30,7 @@ def test_command_uses_the_delayed_state_and_the_gain_of_its_delay(make_simulator
     """Samples every second slot: u = −K[T] x at the end of slot 2 (k − T) − 1, without noise."""
     count = smoke_scenario.max_delay_steps + 1
     rng = np.random.default_rng(1)
-    gains = LoopGains.memoryless(rng.normal(size=(count, 2, 5)))
+    gains = Gains.memoryless(rng.normal(size=(count, 2, 5)))
     quiet = {**STILL, "slip_speed_mps": 0.05, "slip_turn_rate_radps": 0.2, **FREE}
     simulator = make_simulator(1, 60, gains=gains, robot=quiet, control={"hold_samples": 0})
     delay_s = rng.uniform(0.0, 0.3, (1, 60, 4))
@@ -88,7 +88,7 @@ def test_a_held_gain_acts_on_the_sample_that_the_delay_gives(make_simulator, smo
     """u = −K[T_held] x(k − T_d), both from NumPy; the log says which entry is in force."""
     count = smoke_scenario.max_delay_steps + 1
     rng = np.random.default_rng(7)
-    gains = LoopGains.memoryless(rng.normal(size=(count, 2, 5)))
+    gains = Gains.memoryless(rng.normal(size=(count, 2, 5)))
     quiet = {**STILL, "slip_speed_mps": 0.05, "slip_turn_rate_radps": 0.2, **FREE}
     simulator = make_simulator(1, 120, gains=gains, robot=quiet, control={"hold_samples": 3})
     record = simulator.run_robots(np.repeat(rng.uniform(0.0, 0.24, (1, 60, 4)), 2, axis=1))
@@ -115,7 +115,7 @@ def test_a_held_gain_acts_on_the_sample_that_the_delay_gives(make_simulator, smo
 def test_entries_in_force_follow_the_slot_loop(make_simulator, smoke_scenario, sampling_s):
     """Sampling intervals shorter and longer than a slot of 10 ms, and not a multiple of it."""
     control = {"sampling_s": sampling_s, "max_delay_s": 8 * sampling_s, "hold_samples": 2}
-    gains = LoopGains.memoryless(0.1 * np.random.default_rng(8).normal(size=(9, 2, 5)))
+    gains = Gains.memoryless(0.1 * np.random.default_rng(8).normal(size=(9, 2, 5)))
     simulator = make_simulator(1, 60, gains=gains, control=control)
     delay_s = np.random.default_rng(9).uniform(0.0, 9 * sampling_s, (1, 60, 4))
     record = simulator.run_robots(delay_s)
@@ -143,9 +143,9 @@ def test_the_log_says_which_gain_is_in_force(make_simulator, smoke_scenario):
     count = smoke_scenario.max_delay_steps + 1
     network = np.random.default_rng(4).normal(size=(count, 2, 5)) * 0.1
     network[[1, 3]] = network[0]
-    gains = LoopGains.memoryless(network)
+    gains = Gains.memoryless(network)
     delay_s = np.repeat(np.random.default_rng(5).uniform(0.0, 0.2, (1, 20, 4)), 2, axis=1)
-    constant = LoopGains.memoryless(np.repeat(network[:1], count, axis=0))
+    constant = Gains.memoryless(np.repeat(network[:1], count, axis=0))
     nominal = make_simulator(1, 40, gains=constant).run_robots(delay_s)
     unheld = {"hold_samples": 0}
     adjusted = make_simulator(1, 40, gains=gains, control=unheld).run_robots(delay_s)
@@ -296,7 +296,7 @@ def test_slots_one_by_one_carry_the_delay_over(make_simulator):
 def test_a_measurement_is_used_however_old_it_is(make_simulator, smoke_scenario):
     """Beyond T_max the gain is that of T_max, the measurement the one that has arrived."""
     count = smoke_scenario.max_delay_steps + 1
-    gains = LoopGains.memoryless(np.random.default_rng(3).normal(size=(count, 2, 5)))
+    gains = Gains.memoryless(np.random.default_rng(3).normal(size=(count, 2, 5)))
     quiet = {**STILL, "slip_speed_mps": 0.05, "slip_turn_rate_radps": 0.2, **FREE}
     simulator = make_simulator(1, 120, gains=gains, robot=quiet)
     record = simulator.run_robots(forced(0.6, 1, 120))

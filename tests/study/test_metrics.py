@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hiersched.log import LogError
+from hiersched.core.randomness import world_keys
+from hiersched.log import LogDims, LogError
 from hiersched.scenario import Scenario
+from hiersched.simulator import Simulator
 from hiersched.study.metrics import run_metrics, tracking_error_by_window_cm
 
 Fields = dict[str, Any]
@@ -177,42 +179,26 @@ def test_windows_are_root_mean_squares_of_their_slots() -> None:
 
 @pytest.mark.slow
 def test_the_recomputed_counts_are_the_simulators(
-    project_root: Path, tmp_path: Path, write_log: Callable[..., Path]
+    smoke_scenario: Scenario,
+    nominal_gains: Callable[..., Any],
+    tmp_path: Path,
+    write_log: Callable[..., Path],
 ) -> None:
     """Exact, over policies that overload some queues: `run_metrics` raises if a count differs."""
-    from types import SimpleNamespace
-
-    from hiersched.core.randomness import world_keys
-    from hiersched.log import LogDims
-    from hiersched.scenario import load_scenario
-    from hiersched.simulator import Simulator
-
-    scenario = load_scenario(
-        project_root / "src/hiersched/config/scenarios/smoke.yaml",
-        defaults=project_root / "src/hiersched/config/defaults.yaml",
-    )
-    traffic = replace(scenario.traffic, load=1.05, deadline_s=0.017)
-    scenario = replace(scenario, traffic=traffic)
-    steps = scenario.max_delay_steps
-    gains, on_inputs = np.zeros((steps + 1, 2, 5)), np.zeros((steps + 1, steps, 2, 2))
-    simulator = Simulator(
-        scenario,
-        SimpleNamespace(
-            local_gains=gains, network_gains=gains, input_gains=on_inputs, adjusted=gains[:, 0, 0]
-        ),
-        world_keys("evaluate", 3, 2),
-        500,
-    )
-    users = scenario.users
-    dims = LogDims(num_urllc=users.num_urllc, num_embb=users.num_embb, num_prb=10)
+    traffic = replace(smoke_scenario.traffic, load=1.05, deadline_s=0.017)
+    scenario = replace(smoke_scenario, traffic=traffic)
+    urllc = scenario.users.num_urllc
+    dims = LogDims(num_urllc=urllc, num_embb=scenario.users.num_embb, num_prb=10)
+    keys = world_keys("evaluate", 3, 2)
+    simulator = Simulator(scenario, nominal_gains(scenario), keys, 500)
     for policy in ("pf", "max_rate", "drift_plus_penalty"):
-        simulator.reset(world_keys("evaluate", 3, 2))
+        simulator.reset(keys)
         record = simulator.run(policy)
         for env in range(2):
             log = write_log(tmp_path / "a.mcap", record.environment(env), dims)
             got = run_metrics(log, scenario)
             late, due = (
-                getattr(record, name)[env, :, : users.num_urllc].sum()
+                getattr(record, name)[env, :, :urllc].sum()
                 for name in ("late_packets", "due_packets")
             )
             assert got.urllc_late_share == late / due

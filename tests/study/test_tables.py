@@ -1,23 +1,29 @@
 from __future__ import annotations
 
 import math
-import shutil
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from hiersched.study.collect import measure_group
-from hiersched.study.comparison import BACKLOG, best_classical, score_table
-from hiersched.study.summary import comparison_table, measures, policy_table
 from scipy import stats
 
 from hiersched.log import LogReader
 from hiersched.scenario import Scenario
 from hiersched.study.metrics import run_metrics
 from hiersched.study.statistics import skewed_interval, smallest_mean
-from hiersched.study.tables import interval_text, markdown_text, parameter_table, write_tables
+from hiersched.study.study import Study
+from hiersched.study.tables.paper import rate_table
+from hiersched.study.tables.policies import (
+    BACKLOG,
+    all_measures,
+    best_classical,
+    comparison_table,
+    policy_table,
+    score_table,
+)
+from hiersched.study.tables.text import interval_text, markdown_text
 
 SYMMETRIC = "urllc_rate_mbps embb_rate_mbps dexterity_index".split()
 SKEWED = (
@@ -26,27 +32,24 @@ SKEWED = (
 ).split()
 
 
-@pytest.fixture(scope="module")
-def tables(results: Path, tiny: Scenario, project_root: Path) -> dict[str, pd.DataFrame]:
-    written = write_tables(
-        results, tiny, defaults=project_root / "src/hiersched/config/defaults.yaml"
-    )
-    return {path.stem: pd.read_csv(path) for path in written if path.suffix == ".csv"}
+def logs_of(results: Path, scenario: Scenario, policy: str) -> list[Path]:
+    """Logs of a policy's evaluation."""
+    folder = results / "runs/evaluate" / policy
+    return [folder / f"seed{seed}.mcap" for seed in scenario.evaluate.seeds]
 
 
 def test_policies_have_means_medians_and_the_interval_that_suits_a_measure(
     tables: dict[str, pd.DataFrame], results: Path, tiny: Scenario
 ) -> None:
     table = tables["policies"].set_index("policy")
-    assert list(table.index) == ["ddpg", "pf", "drift_plus_penalty", "flat"]
+    assert list(table.index) == ["ddpg", "pf", "drift_plus_penalty", "alt"]
     assert (table["seeds"] == 3).all()
     assert table["training_seeds"].to_dict() == {
-        **{"ddpg": 2, "flat": 2},
+        **{"ddpg": 2, "alt": 2},
         **{"pf": 0, "drift_plus_penalty": 0},
     }
     for policy in ("pf", "drift_plus_penalty"):
-        logs = [results / "eval" / policy / f"seed{s}.mcap" for s in tiny.evaluate.seeds]
-        runs = [run_metrics(log, tiny) for log in logs]
+        runs = [run_metrics(log, tiny) for log in logs_of(results, tiny, policy)]
 
         def check(
             name: str, interval: tuple[float, float], policy: str, values: list[float]
@@ -104,52 +107,20 @@ def test_learned_policies_are_crossed_with_worlds(tables: dict[str, pd.DataFrame
 
 
 def test_runs_say_whose_policy_in_which_world_and_whether_there_is_a_log(
-    tables: dict[str, pd.DataFrame], results: Path, tiny: Scenario
+    tables: dict[str, pd.DataFrame], study: Study
 ) -> None:
     runs = tables["runs"]
     assert list(runs.columns[:4]) == ["policy", "policy_seed", "seed", "logged"]
-    rules = runs[runs["policy"].isin(["pf", "drift_plus_penalty"])]
-    assert rules["policy_seed"].isna().all()
-    assert rules["logged"].all()
-    learned = runs[~runs["policy"].isin(["pf", "drift_plus_penalty"])]
-    for _, group in learned.groupby(["stage", "policy", "axis", "value"], dropna=False):
-        assert group["policy_seed"].tolist() == [1, 1, 1, 2, 2, 2]
-        assert group["logged"].tolist() == [True, False, True, False, True, False]
-    own = learned.query("stage == 'evaluate' and policy == 'ddpg' and logged")
-    for row in own.itertuples():
-        with LogReader(results / f"eval/ddpg/seed{row.seed}.mcap") as log:
-            assert log.metadata["policy_seed"] == str(int(row.policy_seed))
-    written = pd.read_csv(results / "eval/ddpg/crossed.csv")
-    read = learned.query("stage == 'evaluate' and policy == 'ddpg' and not logged")
+    assert len(runs) == len(study.runs)
+    assert runs["stage"].unique().tolist() == ["evaluate", "generalise", "sweep"]
     for name in (*SYMMETRIC, *SKEWED):
-        assert sorted(read[name]) == sorted(written[name])  # to the last bit
-
-
-@pytest.mark.parametrize("fault", ["missing", "twice", "other"])
-def test_measures_of_other_pairs_are_refused(
-    results: Path, tiny: Scenario, tmp_path: Path, fault: str
-) -> None:
-    shutil.copytree(results, tmp_path / "results")
-    path = tmp_path / "results/eval/ddpg/crossed.csv"
-    rows = pd.read_csv(path)
-    if fault == "missing":
-        rows = rows[:-1]
-    elif fault == "twice":
-        rows = pd.concat([rows, rows[:1]])
-    else:
-        rows.loc[0, "policy_seed"] = 3
-    rows.to_csv(path, index=False)
-    with pytest.raises(ValueError, match=r"evaluate .* ddpg: not each .* seeds 1, 2 once in each"):
-        measure_group(tmp_path / "results", tiny, "ddpg")
-    path.unlink()
-    with pytest.raises(FileNotFoundError, match=r"crossed\.csv"):
-        measure_group(tmp_path / "results", tiny, "ddpg")
+        assert sorted(runs[name]) == sorted(study.runs[name])  # to the last bit
 
 
 def late_runs(scenario: Scenario, samples: dict[str, list[float]]) -> pd.DataFrame:
     """Runs of 1000 due packets each with these late shares, all other measures 0.5."""
-    common = {**dict.fromkeys(measures(scenario), 0.5), "num_slots": 100}
-    common |= {"urllc_due_packets": 1000, "embb_due_packets": 1000}
+    common = {**dict.fromkeys(all_measures(scenario), 0.5), "num_slots": 100}
+    common |= {"urllc_due_packets": 1000, "embb_due_packets": 1000, "stage": "evaluate"}
     rows = [
         {**common, "policy": policy, "seed": seed, "urllc_late_share": share}
         for policy, shares in samples.items()
@@ -158,55 +129,58 @@ def late_runs(scenario: Scenario, samples: dict[str, list[float]]) -> pd.DataFra
     return pd.DataFrame(rows)
 
 
-def test_a_late_share_of_0_has_the_bound_that_the_worlds_give(tiny: Scenario) -> None:
+def test_a_late_share_of_0_has_the_bound_that_the_worlds_give(
+    tiny: Scenario, planted: Callable[..., Study]
+) -> None:
     """Batches of 4 of 1000 packets, five worlds: 1 - 0.05^(1/5) = 0.4507 of 0.004."""
-    samples = {"ddpg": [0.0, 0.0, 0.004, 0.02, 0.5], "pf": [0.0] * 5, "flat": [0.25] * 5}
-    table = policy_table(late_runs(tiny, samples), tiny).set_index("policy")
+    samples = {"ddpg": [0.0, 0.0, 0.004, 0.02, 0.5], "pf": [0.0] * 5, "alt": [0.25] * 5}
+    table = policy_table(planted(tiny, runs=late_runs(tiny, samples))).set_index("policy")
     late = "urllc_late_share"
     assert table[f"{late}_smallest"].tolist() == pytest.approx([0.0018029] * 3, rel=1e-4)
     assert table[f"{late}_smallest"].iloc[0] == smallest_mean(5, 0.004)
     assert table[f"{late}_median"].tolist() == [0.004, 0.0, 0.25]
     bounds = table[[late, f"{late}_lo", f"{late}_hi"]]
     assert bounds.loc["pf"].tolist() == [0.0, 0.0, table.loc["pf", f"{late}_smallest"]]
-    assert bounds.loc["flat"].tolist() == [0.25, 0.25, 0.25]
+    assert bounds.loc["alt"].tolist() == [0.25, 0.25, 0.25]
     assert 0.0 < bounds.loc["ddpg", f"{late}_lo"] < 0.1048
     assert bounds.loc["ddpg", f"{late}_hi"] == 1.0  # cut: a share is no more
     text = markdown_text(bounds.reset_index(), "T", "N")
     assert "| pf | < 0.0018 |" in text
 
 
-def test_a_ratio_over_shares_of_0_is_bounded_from_below(tiny: Scenario) -> None:
+def test_a_ratio_over_shares_of_0_is_bounded_from_below(
+    tiny: Scenario, planted: Callable[..., Study]
+) -> None:
     """PF is late in no world, so its share is below the 0.004 of a batch of 4 of 1000 packets."""
-    samples = {"ddpg": [0.04, 0.08, 0.16], "pf": [0.0] * 3, "flat": [0.0, 0.0, 0.1]}
-    table = comparison_table(late_runs(tiny, samples), tiny)
+    samples = {"ddpg": [0.04, 0.08, 0.16], "pf": [0.0] * 3, "alt": [0.0, 0.0, 0.1]}
+    table = comparison_table(planted(tiny, runs=late_runs(tiny, samples)))
     rows = table[table["measure"] == "urllc_late_share"].set_index(["policy", "baseline"])
     ratio = rows[["ratio", "ratio_lo", "ratio_hi"]]
     low, _ = stats.ttest_1samp(np.log([10.0, 20.0, 40.0]), 0.0).confidence_interval(0.95)
     expected = [20.0, math.exp(low), math.inf]
     assert ratio.loc[("ddpg", "pf")].tolist() == pytest.approx(expected)
-    assert ratio.loc[("flat", "pf")].isna().all()
+    assert ratio.loc[("alt", "pf")].isna().all()
 
 
-def test_saturations_that_never_come_have_a_bound(tiny: Scenario) -> None:
+def test_saturations_that_never_come_have_a_bound(
+    tiny: Scenario, planted: Callable[..., Study]
+) -> None:
     """One of two robots in one of 100 slots of 10 ms would be half a saturation a second."""
     runs = late_runs(tiny, {"pf": [0.0] * 5}).assign(control_saturations_per_s=0.0)
-    row = policy_table(runs, tiny).iloc[0]
+    row = policy_table(planted(tiny, runs=runs)).iloc[0]
     assert row["control_saturations_per_s_hi"] == pytest.approx(smallest_mean(5, 0.5))
 
 
 @pytest.mark.parametrize("name", ["policies", "comparison"])
-def test_notes_say_what_the_learned_policys_interval_mixes(
-    tables: dict[str, pd.DataFrame], results: Path, name: str
-) -> None:
-    text = (results / "tables" / f"{name}.md").read_text()
+def test_notes_say_what_the_learned_policys_interval_mixes(written: Path, name: str) -> None:
+    text = (written / "tables" / f"{name}.md").read_text()
     assert "every trained policy in every world" in text
 
 
 def test_csv_numbers_read_back_to_the_same_bits(
     tables: dict[str, pd.DataFrame], results: Path, tiny: Scenario
 ) -> None:
-    logs = [results / "eval" / "pf" / f"seed{seed}.mcap" for seed in tiny.evaluate.seeds]
-    rates = [run_metrics(log, tiny).urllc_rate_mbps for log in logs]
+    rates = [run_metrics(log, tiny).urllc_rate_mbps for log in logs_of(results, tiny, "pf")]
     row = tables["policies"].set_index("policy").loc["pf"]
     assert row["urllc_rate_mbps"] == np.mean(rates)
 
@@ -239,13 +213,13 @@ def test_rate_table_reads_the_fifth_tenth_and_fifteenth_slot(
     assert list(table.index) == ["5", "10", "15", "mean"]
     for policy, column in (("ddpg", "drl_mbps"), ("pf", "pf_mbps")):
         rates = []
-        for seed in tiny.evaluate.seeds:
-            with LogReader(results / "eval" / policy / f"seed{seed}.mcap") as log:
+        for path in logs_of(results, tiny, policy):
+            with LogReader(path) as log:
                 rates.append(log.read("/allocation")["rate_mbps"][:, :2].mean(axis=1))
         for slot in (5, 10, 15):
             mean = np.mean([rate[slot - 1] for rate in rates])
             assert table.loc[str(slot), column] == pytest.approx(mean)
-        assert table.loc["mean", column] == pytest.approx(np.mean(rates))
+        assert table.loc["mean", column] == pytest.approx(np.mean([rate[4:] for rate in rates]))
     assert table.loc["10", "paper_drl_mbps"] == 19.6458
 
 
@@ -253,8 +227,8 @@ def test_comparison_is_paired_with_pf(
     tables: dict[str, pd.DataFrame], results: Path, tiny: Scenario
 ) -> None:
     table = tables["comparison"].query("baseline == 'pf'").set_index(["policy", "measure"])
-    assert set(table.index.get_level_values(0)) == {"ddpg", "drift_plus_penalty", "flat"}
-    pf = [run_metrics(results / "eval" / "pf" / f"seed{s}.mcap", tiny) for s in tiny.evaluate.seeds]
+    assert set(table.index.get_level_values(0)) == {"ddpg", "drift_plus_penalty", "alt"}
+    pf = [run_metrics(log, tiny) for log in logs_of(results, tiny, "pf")]
     own = crossed(tables, "ddpg", "urllc_late_share")
     baseline = np.array([run.urllc_late_share for run in pf])
     row = table.loc[("ddpg", "urllc_late_share")]
@@ -284,14 +258,15 @@ def test_sweeps_have_every_axis_value_and_policy(
     assert along["value"].nunique()["service_coefficient_mbps"] == 4  # by sampling interval
     assert table["value"].tolist()[0] == "0.5"
     row = table.query("axis == 'reference' and value == 'arc' and policy == 'pf'").iloc[0]
-    logs = [results / "sweep/reference/pf" / f"arc_seed{s}.mcap" for s in tiny.sweeps.seeds]
+    logs = [results / f"runs/reference/arc/pf/seed{s}.mcap" for s in tiny.sweeps.seeds]
     rates = [run_metrics(log, tiny).embb_rate_mbps for log in logs]
     assert row["embb_rate_mbps"] == np.mean(rates)
 
 
 def test_gains_say_what_is_certified(tables: dict[str, pd.DataFrame]) -> None:
     table = tables["gains"]
-    assert list(dict.fromkeys(table["method"])) == ["krasovskii"]  # as attached to the logs
+    assert table["method"].unique().tolist() == ["krasovskii", "razumikhin", "predictor"]
+    assert table["plant"].unique().tolist() == ["network", "split"]
     table = table[:13]
     assert table["delay_steps"].tolist() == list(range(13))
     status = [*["nominal"] * 4, *["adjusted"] * 8, "infeasible"]
@@ -305,9 +280,8 @@ def test_gains_say_what_is_certified(tables: dict[str, pd.DataFrame]) -> None:
     assert (np.diff(nominal) >= 0.0).all()
 
 
-def test_parameters_have_unit_and_origin(tiny: Scenario, project_root: Path) -> None:
-    defaults = project_root / "src/hiersched/config/defaults.yaml"
-    table = parameter_table(tiny, defaults).set_index("key")
+def test_parameters_have_unit_and_origin(tables: dict[str, pd.DataFrame]) -> None:
+    table = tables["table1_parameters"].set_index("key")
     assert table.loc["radio.noise_dbm", ["symbol", "value", "unit", "origin"]].tolist() == [
         *["σ²", "-110.0", "dBm", "paper"]
     ]
@@ -315,24 +289,22 @@ def test_parameters_have_unit_and_origin(tiny: Scenario, project_root: Path) -> 
     assert table.loc["radio.num_prb", ["value", "origin", "default"]].tolist() == [
         *["4", "assumed", "25"]
     ]
-    assert (table["unit"] != "").all()
+    assert table["unit"].notna().all()
+    assert table.loc["learners", "value"] == '{"alt": {"network": "mlp"}}'
 
 
-def test_a_missing_log_is_named(results: Path, tiny: Scenario) -> None:
-    more = replace(tiny, evaluate=replace(tiny.evaluate, seeds=(11, 99)))
-    with pytest.raises(FileNotFoundError, match=r"seed99\.mcap"):
-        write_tables(results, more)
+def test_runs_that_are_too_short_for_table_iii_are_an_error(
+    tiny: Scenario, study: Study, planted: Callable[..., Study]
+) -> None:
+    slots = study.measures("slots")
+    first = slots[slots["slot"].isna() | (slots["slot"] < 12)]
+    with pytest.raises(ValueError, match="slot 15: the runs are shorter"):
+        rate_table(planted(tiny, measures=lambda _: first))
 
 
-def test_a_missing_value_of_a_sweep_is_named(results: Path, tiny: Scenario) -> None:
-    more = replace(tiny, sweeps=replace(tiny.sweeps, load=(0.85, 0.9)))
-    with pytest.raises(FileNotFoundError, match=r"load/pf/0\.9_seed21\.mcap: no such log"):
-        measure_group(results, more, "classical")
-
-
-def test_no_half_written_file_stays(tables: dict[str, pd.DataFrame], results: Path) -> None:
-    assert tables
-    assert not list((results / "tables").glob("*.part"))
+def test_no_half_written_file_stays(written: Path) -> None:
+    assert list(written.rglob("*.csv"))
+    assert not list(written.rglob("*.part"))
 
 
 @pytest.mark.parametrize(
@@ -373,7 +345,7 @@ def test_markdown_merges_bounds_into_one_cell() -> None:
 
 
 def test_policies_say_how_they_stand_against_the_best_classical(
-    tables: dict[str, pd.DataFrame], results: Path, tiny: Scenario
+    tables: dict[str, pd.DataFrame],
 ) -> None:
     runs = tables["runs"]
     runs = runs[runs["axis"].isna()]
@@ -399,44 +371,57 @@ def test_the_exact_optimum_is_no_scheduler_to_beat() -> None:
     assert best_classical(pd.DataFrame({k: v[2:] for k, v in rows.items()})) is None
 
 
-def test_scores_are_0_for_pf_and_1_for_the_best() -> None:
+@pytest.fixture
+def scores(tiny: Scenario, planted: Callable[..., Study]) -> Callable[..., pd.DataFrame]:
+    """Scores of these backlogs by load and policy, one a world."""
+
+    def table(sizes: dict[tuple[float, str], list[float]]) -> pd.DataFrame:
+        rows = [
+            {"axis": "load", "value": value, "policy": policy, "seed": seed, BACKLOG: size}
+            for (value, policy), worlds in sizes.items()
+            for seed, size in enumerate(worlds)
+        ]
+        runs = [pd.DataFrame(rows).assign(stage=stage) for stage in ("evaluate", "sweep")]
+        return score_table(planted(tiny, runs=pd.concat(runs))).set_index("policy")
+
+    return table
+
+
+def test_scores_are_0_for_pf_and_1_for_the_best(scores: Callable[..., pd.DataFrame]) -> None:
     """By hand: log(64 / 4) / log(64 / 16) = 2, and as much at every load."""
-    rows = [
-        {"axis": "load", "value": value, "policy": policy, "seed": seed, BACKLOG: size * value}
-        for value in (0.9, 1.0)
-        for policy, size in (("pf", 64.0), ("edf", 16.0), ("ddpg", 4.0))
-        for seed in (1, 2, 3)
-    ]
-    table = score_table(pd.DataFrame(rows), pd.DataFrame(rows)).set_index("policy")
+    table = scores(
+        {
+            (value, policy): [size * value] * 3
+            for value in (0.9, 1.0)
+            for policy, size in (("pf", 64.0), ("edf", 16.0), ("ddpg", 4.0))
+        }
+    )
     assert table["score"].to_dict() == pytest.approx({"pf": 0.0, "edf": 1.0, "ddpg": 2.0})
     assert table["shorter_worlds"].to_dict() == {"pf": 0.0, "edf": 0.0, "ddpg": 1.0}
     assert (table["loads"] == 2).all()
 
 
-def test_scores_are_of_worlds_and_loads_together() -> None:
+def test_scores_are_of_worlds_and_loads_together(scores: Callable[..., pd.DataFrame]) -> None:
     """Where PF itself is the best, a load adds nothing to the scale; worlds are the units."""
-    sizes = {
+    always = {
         (0.5, "pf"): [1.0, 1.0, 1.0],
         (0.5, "edf"): [2.0, 2.0, 2.0],
         (0.5, "ddpg"): [1.0, 2.0, 4.0],
+    }
+    sizes = {
+        **always,
         (1.0, "pf"): [16.0, 16.0, 16.0],
         (1.0, "edf"): [4.0, 4.0, 4.0],
         (1.0, "ddpg"): [1.0, 2.0, 8.0],
     }
-    rows = [
-        {"axis": "load", "value": value, "policy": policy, "seed": seed, BACKLOG: size}
-        for (value, policy), worlds in sizes.items()
-        for seed, size in enumerate(worlds)
-    ]
-    row = score_table(pd.DataFrame(rows), pd.DataFrame(rows)).set_index("policy").loc["ddpg"]
+    row = scores(sizes).loc["ddpg"]
     # In doublings: PF / ddpg is 0 + 4, -1 + 3 and -2 + 1, PF / best is 0 + 2 in every world.
-    scores = np.array([4.0, 2.0, -1.0]) / 2.0
-    bounds = stats.ttest_1samp(scores, 0.0).confidence_interval(0.95)
-    expected = [scores.mean(), bounds.low, bounds.high]
-    assert row[["score", "score_lo", "score_hi"]].tolist() == pytest.approx(expected)
+    expected = np.array([4.0, 2.0, -1.0]) / 2.0
+    bounds = stats.ttest_1samp(expected, 0.0).confidence_interval(0.95)
+    bounds = [expected.mean(), bounds.low, bounds.high]
+    assert row[["score", "score_lo", "score_hi"]].tolist() == pytest.approx(bounds)
     assert row["shorter_worlds"] == pytest.approx(2 / 6)
-    always = pd.DataFrame([row for row in rows if row["value"] == 0.5])
-    assert score_table(always, always)["score"].isna().all()  # no scheduler beats PF anywhere
+    assert scores(always)["score"].isna().all()  # no scheduler beats PF anywhere
 
 
 def test_generalisation_is_paired_with_the_best_scheduler_there(

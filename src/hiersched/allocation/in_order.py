@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.allocation.objective import UserTerms
-from hiersched.core.compiled import kernel
+from hiersched.allocation import ALLOCATE, check_needs, check_weights
+from hiersched.core.compiled import inner_kernel
 
 
-class OrderScratch(NamedTuple):
+class UrgencyWords(NamedTuple):
     """Work arrays: users in their order (U,), rates so far (U,), which PRBs are taken (K,)."""
 
     order: NDArray[np.int64]
@@ -19,101 +19,74 @@ class OrderScratch(NamedTuple):
     taken: NDArray[np.bool_]
 
 
-def order_scratch(num_users: int, num_prb: int) -> OrderScratch:
-    """Work arrays for `num_users` users and `num_prb` PRBs."""
-    return OrderScratch(
-        order=np.zeros(num_users, np.int64),
-        user_rate=np.zeros(num_users),
-        taken=np.zeros(num_prb, np.bool_),
+def urgency_words(num_users: int, num_prb: int) -> UrgencyWords:
+    """Work arrays for U users and K PRBs."""
+    return UrgencyWords(
+        np.zeros(num_users, np.int64), np.zeros(num_users), np.zeros(num_prb, np.bool_)
     )
 
 
-@kernel()
-def allocate_by_urgency(
-    code: int,
-    slot: int,
-    rate: NDArray[np.float32],
-    urgency: NDArray[np.float64],
-    need: NDArray[np.float64],
-    terms: UserTerms,
-    scratch: OrderScratch,
-    owner: NDArray[np.uint32],
-) -> None:
+@ALLOCATE.kernel(UrgencyWords)
+def allocate_by_urgency(me: UrgencyWords, constants: Any, state: Any, slot: Any, env: int) -> None:
     """Serve users in the order of falling urgency: one PRB each, then PRBs until the need is met.
 
-    Parameters
-    ----------
-    code, slot, terms
-        Unused: all allocations have one form.
-    rate
-        Rate of each user on each PRB, shape (U, K), Mbit/s.
-    urgency
-        Shape (U,); equal urgencies are served in the order of the users.
-    need
-        The rate that would empty the user's queue in this slot, shape (U,), Mbit/s. PRBs that
-        nobody needs are given out one by one in the same order.
-    scratch
-        From `order_scratch`.
-    owner
-        Result: user of each PRB, shape (K,).
+    The urgency is `state.index_weight`; equal ones are served in the order of the users. PRBs that
+    nobody needs are given out one by one in the same order.
     """
-    num_users, num_prb = rate.shape
-    order = scratch.order
+    rate, urgency, need = (
+        state.reported_rate_mbps[env],
+        state.index_weight[env],
+        state.need_mbps[env],
+    )
+    check_needs(need)
+    check_weights(urgency, -np.inf)
+    num_users, left = rate.shape
+    order = me.order
     for user in range(num_users):
         place = user
         while place > 0 and urgency[order[place - 1]] < urgency[user]:
             order[place] = order[place - 1]
             place -= 1
         order[place] = user
-        scratch.user_rate[user] = 0.0
-    for k in range(num_prb):
-        scratch.taken[k] = False
-    left = num_prb
+        me.user_rate[user] = 0.0
+    for k in range(left):
+        me.taken[k] = False
     for place in range(num_users):
-        left -= _take_best(order[place], rate, scratch, owner)
+        left -= _take_best(me, order[place], rate, slot.prb_owner)
     for place in range(num_users):
         user = order[place]
-        while left > 0 and scratch.user_rate[user] < need[user]:
-            left -= _take_best(user, rate, scratch, owner)
+        while left > 0 and me.user_rate[user] < need[user]:
+            left -= _take_best(me, user, rate, slot.prb_owner)
     place = 0
     while left > 0:
-        left -= _take_best(order[place % num_users], rate, scratch, owner)
+        left -= _take_best(me, order[place % num_users], rate, slot.prb_owner)
         place += 1
 
 
-@kernel()
+@inner_kernel()
 def _take_best(
-    user: int,
-    rate: NDArray[np.float32],
-    scratch: OrderScratch,
-    owner: NDArray[np.uint32],
+    me: UrgencyWords, user: int, rate: NDArray[np.float32], owner: NDArray[np.uint32]
 ) -> int:
     """Give the user its best free PRB; returns 1, the number of PRBs taken."""
     best = -1
     for k in range(rate.shape[1]):
-        if not scratch.taken[k] and (best < 0 or rate[user, k] > rate[user, best]):
+        if not me.taken[k] and (best < 0 or rate[user, k] > rate[user, best]):
             best = k
-    scratch.taken[best] = True
-    scratch.user_rate[user] += rate[user, best]
+    me.taken[best] = True
+    me.user_rate[user] += rate[user, best]
     owner[best] = user
     return 1
 
 
-@kernel()
-def allocate_in_turn(
-    code: int,
-    slot: int,
-    rate: NDArray[np.float32],
-    weight: NDArray[np.float64],
-    need: NDArray[np.float64],
-    terms: UserTerms,
-    scratch: OrderScratch,
-    owner: NDArray[np.uint32],
-) -> None:
-    """Round robin: PRBs go around the users, and the next slot goes on where this one stopped.
+class TurnWords(NamedTuple):
+    """No parameters."""
 
-    Parameters are those of `allocate_by_urgency`; only the slot and the shape of `rate` are used.
-    """
-    num_users, num_prb = rate.shape
+    none: int = 0
+
+
+@ALLOCATE.kernel(TurnWords)
+def allocate_in_turn(me: TurnWords, constants: Any, state: Any, slot: Any, env: int) -> None:
+    """Round robin: PRBs go around the users, and the next slot goes on where this one stopped."""
+    _, num_users, num_prb = state.reported_rate_mbps.shape
     for k in range(num_prb):
-        owner[k] = (slot * num_prb + k) % num_users
+        slot.prb_owner[k] = (state.slot[env] * num_prb + k) % num_users

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
+from numba.extending import register_jitable
 from numpy.typing import NDArray
 
 from hiersched.core.numerics import exp_f64
@@ -32,24 +33,34 @@ class UserTerms(NamedTuple):
     violation_share: float
 
 
-def user_terms(constants: Any) -> UserTerms:
-    """Terms of a slot's Lagrangian; backlogs, service offsets and multipliers are still 0.
+@register_jitable(inline="always")
+def slot_terms(
+    constants: Any,
+    backlog_packets: NDArray[np.float64],
+    dexterity_index: NDArray[np.float64],
+    multiplier: NDArray[np.float64],
+    of_users: NDArray[np.float64],
+) -> UserTerms:
+    """Return the terms of a slot's Lagrangian, in Python and in kernels.
 
-    `constants` are `simulator.SlotConstants`.
+    `constants` are `simulator.SlotConstants`; backlogs (U,) at the start of the slot, dexterity and
+    multipliers (R,) in force. `of_users` (2, U), zeros beyond R, holds what is made of the two.
     """
-    num_users = len(constants.offered_mbps)
+    for robot in range(constants.num_urllc):
+        of_users[0, robot] = constants.service_coefficient_mbps * dexterity_index[robot]
+        of_users[1, robot] = multiplier[robot]
     return UserTerms(
-        backlog_packets=np.zeros(num_users),
-        offered_mbps=constants.offered_mbps,
-        rate_sensitivity=constants.rate_sensitivity,
-        arrival_packets_per_mbps=constants.arrival_packets_per_mbps,
-        service_offset_mbps=np.zeros(num_users),
-        service_packets_per_mbps=constants.service_packets_per_mbps,
-        penalty_weight=constants.penalty_weight,
-        epsilon=constants.epsilon,
-        multiplier=np.zeros(num_users),
-        delay_exponent_per_mbps=constants.delay_exponent_per_mbps,
-        violation_share=constants.violation_share,
+        backlog_packets,
+        constants.offered_mbps,
+        constants.rate_sensitivity,
+        constants.arrival_packets_per_mbps,
+        of_users[0],
+        constants.service_packets_per_mbps,
+        constants.penalty_weight,
+        constants.epsilon,
+        of_users[1],
+        constants.delay_exponent_per_mbps,
+        constants.violation_share,
     )
 
 
@@ -85,21 +96,17 @@ def delay_surrogate(rate_mbps: float, exponent_per_mbps: float, violation_share:
 @njit(inline="always")
 def user_lagrangian(terms: UserTerms, user: int, rate_mbps: float) -> float:
     """One user's share of the slot's Lagrangian with the arrivals at their mean."""
-    backlog = terms.backlog_packets[user]
+    backlog, multiplier = terms.backlog_packets[user], terms.multiplier[user]
     arrivals = mean_arrivals(
         rate_mbps,
         terms.offered_mbps[user],
         terms.rate_sensitivity[user],
         terms.arrival_packets_per_mbps[user],
     )
-    service = offered_service(
-        rate_mbps, terms.service_offset_mbps[user], terms.service_packets_per_mbps
-    )
-    after = max(0.0, backlog + arrivals - service)
-    value = 0.5 * (after * after - backlog * backlog) + terms.penalty_weight * rate_penalty(
-        rate_mbps, terms.epsilon
-    )
-    multiplier = terms.multiplier[user]
+    offset, per_mbps = terms.service_offset_mbps[user], terms.service_packets_per_mbps
+    after = max(0.0, backlog + arrivals - offered_service(rate_mbps, offset, per_mbps))
+    penalty = terms.penalty_weight * rate_penalty(rate_mbps, terms.epsilon)
+    value = 0.5 * (after * after - backlog * backlog) + penalty
     if multiplier > 0.0:
         value -= multiplier * delay_surrogate(
             rate_mbps, terms.delay_exponent_per_mbps, terms.violation_share

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from hiersched.experiments.logged import LoggedRun
     from hiersched.replay.compare import Comparison
-    from hiersched.runs.logged import LoggedRun
 
 DIFFERS = 1
 
@@ -46,8 +46,8 @@ def add_commands(commands: Any) -> None:
 
 def _replay(parsed: argparse.Namespace) -> int:
     from hiersched.cli.errors import InputError
+    from hiersched.experiments.logged import load_run
     from hiersched.replay.verify import decides_again, expand, verify
-    from hiersched.runs.logged import load_run
 
     run = load_run(parsed.log)
     if run.added_keys:

@@ -126,8 +126,8 @@ def _log_world(path: Path, scenario: Scenario, policy: str, seed: int, seconds: 
     import numpy as np
 
     from hiersched.core.randomness import world_key
+    from hiersched.experiments.logging import RunLabel, log_block, open_log
     from hiersched.policies.find import find_policy
-    from hiersched.runs.logging import RunLabel, log_block, open_log
     from hiersched.simulator import Simulator
     from hiersched.simulator.gain_source import scenario_schedule
     from hiersched.simulator.loop_gains import loop_gains

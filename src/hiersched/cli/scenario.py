@@ -1,4 +1,4 @@
-"""`hiersched scenario`: check or show a scenario."""
+"""`hiersched scenario`: check or show a scenario, or what one may be."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 def add_commands(commands: Any) -> None:
     """Add the command to the parser."""
-    scenario = commands.add_parser("scenario", help="check or show a scenario")
+    scenario = commands.add_parser("scenario", help="check or show a scenario, or its schema")
     actions = scenario.add_subparsers(required=True, metavar="ACTION")
     for name, command, text in (
         ("check", _check, "say whether a scenario can be run, and what is wrong if not"),
@@ -17,6 +17,8 @@ def add_commands(commands: Any) -> None:
         action = actions.add_parser(name, help=text, description=text)
         action.add_argument("file", metavar="FILE", help="path, or the name of a shipped scenario")
         action.set_defaults(command=command)
+    text = "print the JSON schema of a scenario, with which editors check and complete"
+    actions.add_parser("schema", help=text, description=text).set_defaults(command=_schema)
 
 
 def _check(parsed: argparse.Namespace) -> int:
@@ -34,4 +36,11 @@ def _show(parsed: argparse.Namespace) -> int:
     from hiersched.scenario import load_scenario, scenario_to_yaml
 
     print(scenario_to_yaml(load_scenario(parsed.file)), end="")
+    return 0
+
+
+def _schema(parsed: argparse.Namespace) -> int:
+    from hiersched.scenario.plugins import CONFIG
+
+    print((CONFIG / "scenario.schema.json").read_text(encoding="utf-8"), end="")
     return 0

@@ -1,5 +1,11 @@
 """Regulator gains for loops with a delay, with certificates: see docs/control.md.
 
+Unless a docstring says otherwise, a plant has n states and m inputs: A, A_c, A_d, P, Q, S and X
+have shape (n, n), B (n, m), a gain K (m, n), and R (m, m) as the weight of the input, (n, n) in a
+functional. Delays are in samples, `delay_steps` is the longest one, T. An argument that is
+malformed (its shape, an entry that is not finite, a matrix that is not symmetric or definite, a
+delay that is negative or not whole) is a ValueError that names it.
+
 Importing this package loads NumPy and SciPy only; what solves matrix inequalities loads cvxpy when
 it is first asked for.
 """
@@ -17,8 +23,7 @@ from hiersched.control.certificate import (
     certify,
 )
 from hiersched.control.delayed_plant import DelayedPlant, network_plant, split_plant
-from hiersched.control.gain_schedule import build_schedule, load_or_build
-from hiersched.control.gain_table import GainSchedule
+from hiersched.control.gain_schedule import GainSchedule, build_schedule, load_or_build
 from hiersched.control.h2 import h2_cost, h2_gain
 from hiersched.control.hysteresis import hold_delays, hold_step
 from hiersched.control.lifted import lift, simulate_random_delays, spectral_radius_by_delay
@@ -27,10 +32,17 @@ from hiersched.control.predictor import input_memory_radii, predictor_gains
 
 if TYPE_CHECKING:
     from hiersched.control.design import GainDesign, GainDesigner, design_gain
-    from hiersched.control.krasovskii import analyse_krasovskii
-    from hiersched.control.krasovskii_synthesis import KrasovskiiSynthesis, synthesise_krasovskii
-    from hiersched.control.razumikhin import analyse_delay_razumikhin, analyse_razumikhin
-    from hiersched.control.razumikhin_synthesis import RazumikhinSynthesis, synthesise_razumikhin
+    from hiersched.control.krasovskii import (
+        KrasovskiiSynthesis,
+        analyse_krasovskii,
+        synthesise_krasovskii,
+    )
+    from hiersched.control.razumikhin import (
+        RazumikhinSynthesis,
+        analyse_delay_razumikhin,
+        analyse_razumikhin,
+        synthesise_razumikhin,
+    )
     from hiersched.control.switching import Switch, SwitchingReport, switching_report
 
 __all__ = [
@@ -72,29 +84,17 @@ __all__ = [
     "switching_report",
 ]
 
-_LAZY = {
-    "GainDesign": "design",
-    "GainDesigner": "design",
-    "design_gain": "design",
-    "analyse_krasovskii": "krasovskii",
-    "KrasovskiiSynthesis": "krasovskii_synthesis",
-    "synthesise_krasovskii": "krasovskii_synthesis",
-    "analyse_delay_razumikhin": "razumikhin",
-    "analyse_razumikhin": "razumikhin",
-    "RazumikhinSynthesis": "razumikhin_synthesis",
-    "synthesise_razumikhin": "razumikhin_synthesis",
-    "Switch": "switching",
-    "SwitchingReport": "switching",
-    "switching_report": "switching",
-}
+_SOLVING = ("krasovskii", "razumikhin", "design", "switching")
 
 
 def __getattr__(name: str) -> Any:
     """Load the names that need cvxpy on first use."""
-    if name in _LAZY:
+    for module in _SOLVING if name in __all__ else ():
         try:
-            return getattr(import_module(f"hiersched.control.{_LAZY[name]}"), name)
+            found = getattr(import_module(f"hiersched.control.{module}"), name, None)
         except ModuleNotFoundError as error:
             error.add_note("pip install 'hiersched[control]'")
             raise
+        if found is not None:
+            return found
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -9,14 +9,25 @@ x(k+1) = A_c x(k) + A_d x(k-d(k)) with 0 <= d(k) <= T.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, field
+from typing import ClassVar, Literal, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
 
-from hiersched.control.checks import FloatArray, as_square, as_symmetric
-from hiersched.control.lifted import as_loop, simulate_random_delays, spectral_radius_by_delay
+from hiersched.control.checks import FloatArray, as_decay_rate, as_loop, as_square, as_symmetric
+from hiersched.control.lifted import simulate_random_delays, spectral_radius_by_delay
+
+DEFAULT_DECAY_RATE = 0.02
+"""Decay of V per sample that C1 certifies where nothing else is asked."""
+
+
+Method = Literal["krasovskii", "razumikhin", "predictor", "latency_compensated", "h2"]
+"""C3, C1 (certified by design); state prediction, K (A - B K)^T, H2-optimal (tried afterwards)."""
+
+Status = Literal["nominal", "adjusted", "uncertified", "infeasible"]
+"""The nominal gain, certified; another one, certified; the method's, which no certificate covers;
+the nominal gain for want of a better one, not certified."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,58 +67,31 @@ Witness = RazumikhinWitness | DelayRazumikhinWitness | KrasovskiiWitness
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Certificate:
-    """Outcome of a check.
+    """Outcome of a check."""
 
-    Parameters
-    ----------
-    certified : bool
-        Whether every margin exceeds the rounding error and every spectral radius is below 1.
-    criterion : str
-        Name of the condition; "none" where no witness was found.
-    delay_steps : int
-        Longest delay T in samples that the condition covers.
-    margins : mapping of str to float
-        Smallest eigenvalue of every matrix that must be positive definite, in the coordinates
-        where P is the identity, and the margin of the simulated runs, if there were any; all
-        must exceed `tolerance`.
-    tolerance : float
-        Bound on the rounding error of the margins.
-    spectral_radii : ndarray, shape (T + 1,)
-        Spectral radius of the lifted system at each constant delay 0..T.
-    witness : RazumikhinWitness, DelayRazumikhinWitness, KrasovskiiWitness or None
-        The matrices checked.
-    """
-
-    certified: bool
-    criterion: str
-    delay_steps: int
-    margins: Mapping[str, float]
-    tolerance: float
-    spectral_radii: FloatArray
-    witness: Witness | None
+    # Every margin exceeds the tolerance and every spectral radius is below 1.
+    certified: bool = False
+    # Smallest eigenvalue of every matrix that must be positive definite, in the coordinates where
+    # P is the identity, and the margin of the simulated runs, if there were any.
+    margins: Mapping[str, float] = field(default_factory=dict)
+    tolerance: float = 0.0  # bound on the rounding error of the margins
+    spectral_radii: FloatArray  # (T + 1,) of the lifted system at each constant delay; read-only
+    witness: Witness | None = None  # the matrices checked; None where none was found
 
     def __post_init__(self) -> None:
         """Make the radii read-only."""
         self.spectral_radii.setflags(write=False)
 
-    @classmethod
-    def without_witness(cls, spectral_radii: FloatArray) -> Certificate:
-        """Return what is known where no witness was found: the radii, and no certificate."""
-        return cls(
-            certified=False,
-            criterion="none",
-            delay_steps=len(spectral_radii) - 1,
-            margins={},
-            tolerance=0.0,
-            spectral_radii=spectral_radii,
-            witness=None,
-        )
+    @property
+    def criterion(self) -> str:
+        """Return the name of the condition; "none" where no witness was found."""
+        return "none" if self.witness is None else self.witness.criterion
 
 
 def certify(
     A_c: npt.ArrayLike,
     A_d: npt.ArrayLike,
-    delay_steps: int,
+    delay_steps: SupportsIndex,
     witness: Witness | None,
     *,
     simulations: int = 0,
@@ -115,35 +99,16 @@ def certify(
 ) -> Certificate:
     """Check a witness of stability for all delays 0..T, constant or varying.
 
-    Parameters
-    ----------
-    A_c, A_d : array_like, shape (n, n)
-        Undelayed and delayed matrix of the closed loop.
-    delay_steps : int
-        Longest delay T in samples.
-    witness : RazumikhinWitness, DelayRazumikhinWitness, KrasovskiiWitness or None
-        The matrices to check; None (nothing found) is never certified.
-    simulations : int
-        Runs under random varying delays (`simulate_random_delays`, 500 samples and more) in which
-        V must not exceed what the witness promises; their margin is ``simulation``. A witness
-        that passes the other checks cannot fail this one unless its condition is wrong.
-    seed : int
-        Seed of those runs.
-
-    Returns
-    -------
-    Certificate
-        The verdict with its margins; a witness that fails is no error.
-
-    Raises
-    ------
-    ValueError
-        If a matrix or a number is malformed.
+    A witness that fails is no error, and None (nothing found) is never certified; a malformed one
+    is a ValueError. With `simulations`, V must not exceed what the witness promises in so many
+    runs under random varying delays (`simulate_random_delays`, 500 samples and more, `seed`); their
+    margin is ``simulation``. A witness that passes the other checks cannot fail this one unless
+    its condition is wrong.
     """
     A_c, A_d, steps = as_loop(A_c, A_d, delay_steps)
     radii = spectral_radius_by_delay(A_c, A_d, steps)
     if witness is None:
-        return Certificate.without_witness(radii)
+        return Certificate(spectral_radii=radii)
     margins, scale = _margins(A_c, A_d, steps, witness)
     tolerance = 100.0 * float(np.finfo(float).eps) * scale
     if simulations and all(margin > tolerance for margin in margins.values()):
@@ -151,8 +116,6 @@ def certify(
     return Certificate(
         certified=all(margin > tolerance for margin in margins.values())
         and bool((radii < 1.0).all()),
-        criterion=witness.criterion,
-        delay_steps=steps,
         margins=margins,
         tolerance=tolerance,
         spectral_radii=radii,
@@ -182,13 +145,10 @@ def _razumikhin_margins(
     A_c: FloatArray, A_d: FloatArray, steps: int, witness: RazumikhinWitness
 ) -> tuple[dict[str, float], float]:
     """C1 where P = I: diag((1 - a - tau g) I, tau I) - [A_c A_d]^T [A_c A_d], g = (1-a)^-T."""
-    rate, tau = _number("decay_rate", witness.decay_rate), _number("tau", witness.tau)
-    if not 0.0 < rate < 1.0:
-        raise ValueError(f"decay_rate is {rate!r}; it must lie in (0, 1)")
-    n = A_c.shape[0]
+    rate, tau = as_decay_rate(witness.decay_rate), _finite("tau", witness.tau)
     gamma = (1.0 - rate) ** -steps
     F = np.hstack([A_c, A_d])
-    weights = np.repeat([1.0 - rate - tau * gamma, tau], n)
+    weights = np.repeat([1.0 - rate - tau * gamma, tau], A_c.shape[0])
     margin = _min_eigenvalue(np.diag(weights) - F.T @ F)
     return {"inequality": margin, "tau": tau}, 1.0 + float(np.linalg.norm(F) ** 2)
 
@@ -197,7 +157,7 @@ def _delay_razumikhin_margins(
     A_c: FloatArray, A_d: FloatArray, steps: int, witness: DelayRazumikhinWitness
 ) -> tuple[dict[str, float], float]:
     """C2 where P = I: diag(p, t1, t2) - G^T G, G = [A_c+A_d, -T A_d (A_c-I), -T A_d A_d]."""
-    p, t1, t2 = (_number(name, getattr(witness, name)) for name in ("p", "t1", "t2"))
+    p, t1, t2 = (_finite(name, getattr(witness, name)) for name in ("p", "t1", "t2"))
     n = A_c.shape[0]
     G = np.hstack([A_c + A_d, -steps * A_d @ (A_c - np.eye(n)), -steps * A_d @ A_d])
     margin = _min_eigenvalue(np.diag(np.repeat([p, t1, t2], n)) - G.T @ G)
@@ -270,7 +230,7 @@ def _min_eigenvalue(matrix: FloatArray) -> float:
     return float(np.linalg.eigvalsh((matrix + matrix.T) / 2.0)[0])
 
 
-def _number(name: str, value: float) -> float:
+def _finite(name: str, value: float) -> float:
     if not np.isfinite(value):
         raise ValueError(f"{name} is {value!r}; it must be finite")
     return float(value)

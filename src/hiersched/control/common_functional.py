@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import cvxpy as cp
 import numpy as np
 
-from hiersched.control.checks import FloatArray
+from hiersched.control.checks import FloatArray, symmetrised
 from hiersched.control.functional import krasovskii_form
-from hiersched.control.lmi import Expression, balance, solve, symmetric_blocks, symmetrised
+from hiersched.control.lmi import Expression, balance, solve, symmetric_blocks, transformed
 
 Loop = tuple[FloatArray, FloatArray]
 
@@ -28,30 +28,21 @@ def common_functional(loops: Sequence[Loop], limits: Sequence[int]) -> FloatArra
     Linear in everything, with (N + 2) n rows for N segments. Clarabel, in coordinates where the
     first loop without delay is well scaled.
 
-    Parameters
-    ----------
-    loops : sequence of (ndarray, ndarray), shape (n, n) each
-        The loops.
-    limits : sequence of int
-        T_i in samples.
-
-    Returns
-    -------
-    ndarray, shape (n (H+1), n (H+1)), or None
-        The functional of z = [x(k), ..., x(k-H)], H = max T_i; `functional.contraction` says
-        whether it falls. None if the first loop is unstable without delay or no margin was found.
+    `limits` are the T_i in samples. Returns the functional of z = [x(k), ..., x(k-H)], H = max T_i,
+    shape (n (H+1), n (H+1)); `functional.contraction` says whether it falls. None if the first loop
+    is unstable without delay or no margin was found.
     """
     scaling = balance(loops[0][0] + loops[0][1])
     if scaling is None:
         return None
-    inverse, n = np.linalg.inv(scaling), scaling.shape[0]
+    n = scaling.shape[0]
     edges = [0, *sorted({limit for limit in limits if limit > 0})]
     P, *weights = (cp.Variable((n, n), symmetric=True) for _ in range(2 * len(edges) - 1))
     S, R = weights[: len(edges) - 1], weights[len(edges) - 1 :]
     margin = cp.Variable()
     constraints = [P << np.eye(n), *(weight >> margin * np.eye(n) for weight in (P, *weights))]
     for (A_c, A_d), limit in zip(loops, limits, strict=True):
-        loop = scaling @ A_c @ inverse, scaling @ A_d @ inverse
+        loop = transformed(scaling, A_c), transformed(scaling, A_d)
         for segment in range(edges.index(limit)) if limit else [-1]:
             X = cp.Variable((n, n))
             change = _change(loop, edges, P, S, R, X, segment)
@@ -62,17 +53,9 @@ def common_functional(loops: Sequence[Loop], limits: Sequence[int]) -> FloatArra
                 constraints.append(symmetric_blocks([[R[segment], X], [R[segment]]]) >> 0)
     if not solve(cp.Problem(cp.Maximize(margin), constraints)) or margin.value <= 0.0:
         return None
-    longest = max(edges[-1], 1)
-
-    def original(M: Expression) -> FloatArray:
-        return symmetrised(scaling.T @ M.value @ scaling)
-
-    return krasovskii_form(
-        original(P),
-        [original(weight) / longest for weight in S],
-        [original(weight) / longest for weight in R],
-        edges[1:],
-    )
+    P, *weights = (symmetrised(scaling.T @ M.value @ scaling) for M in (P, *weights))
+    weights = [weight / max(edges[-1], 1) for weight in weights]
+    return krasovskii_form(P, weights[: len(S)], weights[len(S) :], edges[1:])
 
 
 def _change(
@@ -97,9 +80,8 @@ def _change(
     cross = x[0].T @ P @ e
     total = cross + cross.T + e.T @ P @ e / H
     for s, (S_s, R_s) in enumerate(zip(S, R, strict=True)):
-        width = edges[s + 1] - edges[s]
         total += x[s].T @ S_s @ x[s] - x[s + 1].T @ S_s @ x[s + 1]
-        total += (width / H) ** 2 * (e.T @ R_s @ e)
+        total += ((edges[s + 1] - edges[s]) / H) ** 2 * (e.T @ R_s @ e)
         if s == segment:
             gaps = np.vstack([x[s] - x_d, x_d - x[s + 1]])
             total -= gaps.T @ symmetric_blocks([[R_s, X], [R_s]]) @ gaps

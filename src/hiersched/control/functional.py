@@ -11,31 +11,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hiersched.control.checks import FloatArray
+from hiersched.control.checks import FloatArray, symmetrised
+from hiersched.control.lifted import lift
 
 
 def lifted_modes(A_c: FloatArray, A_d: FloatArray, delay_steps: int, window: int) -> FloatArray:
-    """Return the matrices of z(k+1) = M_d z(k) for d = 0..T, with z = [x(k), ..., x(k-H)].
-
-    Parameters
-    ----------
-    A_c, A_d : ndarray, shape (n, n)
-        Undelayed and delayed matrix.
-    delay_steps, window : int
-        T and H >= T in samples.
-
-    Returns
-    -------
-    ndarray, shape (T + 1, n (H+1), n (H+1))
-        One matrix for each delay.
-    """
-    n = A_c.shape[0]
-    modes = np.zeros((delay_steps + 1, n * (window + 1), n * (window + 1)))
-    modes[:, n:] = np.eye(n * (window + 1))[:-n]
-    modes[:, :n, :n] = A_c
-    for delay, mode in enumerate(modes):
-        mode[:n, n * delay : n * (delay + 1)] += A_d
-    return modes
+    """Return M_d of z(k+1) = M_d z(k) for d = 0..T, shape (T + 1, n (H+1), n (H+1)), H >= T."""
+    return np.stack([lift(A_c, A_d, delay, window) for delay in range(delay_steps + 1)])
 
 
 def krasovskii_form(
@@ -45,21 +27,8 @@ def krasovskii_form(
 
     V = x^T P x + sum_s [sum_{l in s} x(k-l)^T S_s x(k-l) + w_s sum_{j in s} sum_{l=1..j}
     eta(k-l)^T R_s eta(k-l)], where segment s holds h_{s-1} < l <= h_s (h_0 = 0), w_s = h_s -
-    h_{s-1} and eta(k) = x(k+1) - x(k). N = 1 is C3's.
-
-    Parameters
-    ----------
-    P : ndarray, shape (n, n)
-        Weight of the present state.
-    S, R : sequence of ndarray, shape (n, n)
-        Weights of the N segments.
-    limits : sequence of int
-        h_1, ..., h_N in samples.
-
-    Returns
-    -------
-    ndarray, shape (n (h_N + 1), n (h_N + 1))
-        Symmetric.
+    h_{s-1} and eta(k) = x(k+1) - x(k). N = 1 is C3's. P and the N weights S_s and R_s are (n, n),
+    the h_s (`limits`) in samples; the result has shape (n (h_N + 1), n (h_N + 1)).
     """
     n, window = P.shape[0], limits[-1] if limits else 0
     past = np.split(np.eye(n * (window + 1)), window + 1)
@@ -73,30 +42,15 @@ def krasovskii_form(
             count = (stop - start) * (stop - max(lag, start + 1) + 1)
             form += count * (eta.T @ R_s @ eta)
         start = stop
-    return (form + form.T) / 2.0
+    return symmetrised(form)
 
 
 def extended(form: FloatArray, P: FloatArray, contraction: float, window: int) -> FloatArray:
     """Return V plus a geometric tail over x(k-1), ..., x(k-H), so that it sees the whole window.
 
-    If V falls by r a sample and x^T P x <= V, the sum falls by at least (1 + r) / 2: the tail
-    (1-r)/2 sum_l theta^(l-1) x(k-l)^T P x(k-l), theta = (1 + r) / 2, takes no more than that.
-
-    Parameters
-    ----------
-    form : ndarray, shape (n (T+1), n (T+1))
-        V on the shorter window T.
-    P : ndarray, shape (n, n)
-        Weight of the present state.
-    contraction : float
-        r, below 1.
-    window : int
-        H >= T in samples.
-
-    Returns
-    -------
-    ndarray, shape (n (H+1), n (H+1))
-        The extended functional.
+    If V falls by r (`contraction`, below 1) a sample and x^T P x <= V, the sum falls by at least
+    theta = (1 + r) / 2: the tail (1-r)/2 sum_l theta^(l-1) x(k-l)^T P x(k-l) takes no more than
+    that. Shape (n (H+1), n (H+1)).
     """
     theta = (1.0 + contraction) / 2.0
     weights = (1.0 - theta) * theta ** np.arange(window)
@@ -108,18 +62,8 @@ def extended(form: FloatArray, P: FloatArray, contraction: float, window: int) -
 def contraction(form: FloatArray, modes: FloatArray) -> float:
     """Return the largest V(k+1) / V(k) over all states and modes; infinite if V is not positive.
 
-    Parameters
-    ----------
-    form : ndarray, shape (N, N)
-        The functional.
-    modes : ndarray, shape (modes, N, N)
-        The matrices M of z(k+1) = M z(k).
-
-    Returns
-    -------
-    float
-        Below 1: V proves stability, however the modes follow each other. A bound on the rounding
-        error, 100 eps times the condition of V, is added.
+    Below 1, V proves stability, however the modes M of z(k+1) = M z(k) follow each other. A bound
+    on the rounding error, 100 eps times the condition of V, is added.
     """
     if np.linalg.eigvalsh(form)[0] <= 0.0:
         return np.inf
@@ -130,18 +74,7 @@ def contraction(form: FloatArray, modes: FloatArray) -> float:
 
 
 def jump(entered: FloatArray, left: FloatArray) -> float:
-    """Return the largest ratio of two functionals of the same state, V_entered / V_left.
-
-    Parameters
-    ----------
-    entered, left : ndarray, shape (N, N)
-        Positive definite.
-
-    Returns
-    -------
-    float
-        The factor by which a switch can raise the functional.
-    """
+    """Return the largest V_entered / V_left at one state: by how much a switch can raise V."""
     L_inverse = np.linalg.inv(np.linalg.cholesky(left))
     return float(np.linalg.eigvalsh(L_inverse @ entered @ L_inverse.T)[-1])
 
@@ -151,18 +84,8 @@ def worst_period(
 ) -> tuple[float, int, int]:
     """Search a periodic switching, p samples in one mode and q in the other, that diverges.
 
-    Parameters
-    ----------
-    first, second : ndarray, shape (N, N)
-        The two modes.
-    lengths : sequence of int
-        Candidates for p and q, increasing.
-
-    Returns
-    -------
-    growth, p, q
-        The largest spectral radius per sample, exact for its period. At 1 or more no common
-        function exists, quadratic or not.
+    Returns the largest spectral radius per sample over p and q in `lengths`, exact for its period,
+    with its p and q. At 1 or more no common function exists, quadratic or not.
     """
     powers = [[np.linalg.matrix_power(mode, k) for k in lengths] for mode in (first, second)]
     worst = (0.0, 0, 0)

@@ -1,20 +1,29 @@
-"""Gain schedules: gains for every delay, designed once, cached, and looked up online."""
+"""Gain schedules: gains for every delay, designed once, cached, and looked up in the slot loop."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import logging
+import operator
 import os
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, SupportsIndex, get_args
 
 import numpy as np
+import numpy.typing as npt
 
-from hiersched.control.checks import as_delay_steps
+from hiersched.control.certificate import (
+    DEFAULT_DECAY_RATE,
+    Certificate,
+    Method,
+    Status,
+    certify,
+)
+from hiersched.control.checks import FloatArray, as_matrix, as_samples
 from hiersched.control.delayed_plant import DelayedPlant
-from hiersched.control.gain_table import GainSchedule
-from hiersched.control.methods import DEFAULT_DECAY_RATE, Method
+from hiersched.control.gain_schedule_json import dump_schedule, parse_schedule
 
 logger = logging.getLogger(__name__)
 
@@ -22,24 +31,159 @@ DESIGN_VERSION = 2
 """Part of the cache key: raise it when the design algorithm changes its results."""
 
 
-def design_key(plant: DelayedPlant, max_delay_steps: int, method: Method, decay_rate: float) -> str:
-    """Return the SHA-256 of everything that a schedule depends on.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GainSchedule:
+    """The gain in force at every delay 0..T_max, with what is known about it.
 
-    Parameters
-    ----------
-    plant, max_delay_steps, method, decay_rate
-        As for `build_schedule`.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits.
+    The slot loop applies u(k) = -local x(k) - network x(k-d) - sum_i input_i u(k-1-i), with the
+    tables `local_gains`, `network_gains` and `input_gains` at the delay in force. Arrays are
+    read-only; a ValueError says which tables do not fit each other, or which status its
+    certificate.
     """
+
+    # (T_max + 1, m, n), in force at each delay; the nominal one where nothing could be certified.
+    gains: FloatArray
+    status: tuple[str, ...]  # a `Status` of each
+    certificates: tuple[Certificate, ...]  # independent check of each
+    nominal: FloatArray  # (m, n)
+    kind: str  # of the plant, "network" or "split"
+    method: str
+    decay_rate: float | None  # per sample, certified by C1; None for the other methods
+    sampling_s: float  # one step of delay
+    key: str  # SHA-256 of the design's inputs
+    # (T_max + 1, T_max, m, m), on past inputs, the newest first, zero from the delay on; all zero
+    # if left out.
+    input_gains: FloatArray = field(default_factory=lambda: np.empty(0))
+    operator_gain: FloatArray | None = None  # (m, n), the operator's over the network (split)
+
+    def __post_init__(self) -> None:
+        """Check that the tables fit each other and freeze the arrays."""
+        gains = np.array(self.gains, dtype=np.float64, order="C")
+        nominal = np.array(self.nominal, dtype=np.float64)
+        if gains.ndim != 3 or gains.shape[1:] != nominal.shape or not gains.shape[0]:
+            raise ValueError(
+                f"gains has shape {gains.shape}; it must be (T_max + 1, *{nominal.shape})"
+            )
+        if not (np.isfinite(gains).all() and np.isfinite(nominal).all()):
+            raise ValueError("gains has entries that are not finite")
+        for name, table in (("status", self.status), ("certificates", self.certificates)):
+            if len(table) != gains.shape[0]:
+                raise ValueError(f"{name} has {len(table)} entries; it must have {gains.shape[0]}")
+        arrays = {"gains": gains, "nominal": nominal}
+        arrays["input_gains"] = self._checked_input_gains(len(gains) - 1, len(nominal))
+        if self.operator_gain is not None:
+            arrays["operator_gain"] = as_matrix("operator_gain", self.operator_gain, nominal.shape)
+        for name, array in arrays.items():
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        for delay in range(len(gains)):
+            self._check_status(delay)
+
+    def _checked_input_gains(self, steps: int, inputs: int) -> FloatArray:
+        shape = (steps + 1, steps, inputs, inputs)
+        table = np.array(self.input_gains, dtype=np.float64)
+        if table.size == 0:
+            return np.zeros(shape)
+        if table.shape != shape or not np.isfinite(table).all():
+            raise ValueError(f"input_gains has shape {table.shape}; it must be {shape}, finite")
+        for delay in range(steps + 1):
+            if table[delay, delay:].any():
+                raise ValueError(f"input_gains[{delay}] is not zero from entry {delay} on")
+        return table
+
+    def _check_status(self, delay: int) -> None:
+        status, certified = self.status[delay], self.certificates[delay].certified
+        if status not in get_args(Status):
+            raise ValueError(f"status[{delay}] is {status!r}; it must be one of {get_args(Status)}")
+        if certified != (status in ("nominal", "adjusted")):
+            raise ValueError(
+                f"status[{delay}] is {status!r}, but its certificate is "
+                f"{'certified' if certified else 'not certified'}"
+            )
+        if status in ("nominal", "infeasible") and not (
+            np.array_equal(self.gains[delay], self.nominal) and not self.input_gains[delay].any()
+        ):
+            raise ValueError(f"gains[{delay}] is not the nominal gain, but {status}")
+        if status == "adjusted" and self.input_gains[delay].any():
+            raise ValueError(f"input_gains[{delay}] is not zero; no certificate covers it")
+
+    @property
+    def max_delay_steps(self) -> int:
+        """Return T_max in samples."""
+        return int(self.gains.shape[0]) - 1
+
+    @property
+    def local_gains(self) -> FloatArray:
+        """Return new gains on the present state, shape (T_max + 1, m, n); 0 for network plants."""
+        return np.zeros_like(self.gains) if self.kind == "network" else self.gains.copy()
+
+    @property
+    def network_gains(self) -> FloatArray:
+        """Return new gains on the delayed state, shape (T_max + 1, m, n).
+
+        Split plants: the operator's, the same at every delay; 0 where A_d is no operator's gain
+        but belongs to the plant.
+        """
+        if self.kind == "network":
+            return self.gains.copy()
+        table = np.zeros_like(self.gains)
+        if self.operator_gain is not None:
+            table[:] = self.operator_gain
+        return table
+
+    @property
+    def certified(self) -> npt.NDArray[np.bool_]:
+        """Return whether the gain in force at each delay is certified, shape (T_max + 1,)."""
+        return np.array([certificate.certified for certificate in self.certificates])
+
+    @property
+    def deviation(self) -> FloatArray:
+        """Return ||K^(T) - K||_F at each delay, shape (T_max + 1,)."""
+        return np.asarray(np.linalg.norm(self.gains - self.nominal, axis=(1, 2)))
+
+    def gain(self, delay_steps: SupportsIndex) -> FloatArray:
+        """Return the gain in force at a delay within 0..T_max, shape (m, n), read-only.
+
+        For many delays index `gains` directly.
+        """
+        steps = operator.index(delay_steps)
+        if not 0 <= steps <= self.max_delay_steps:
+            raise ValueError(f"delay_steps is {steps}; it must lie in 0..{self.max_delay_steps}")
+        return np.asarray(self.gains[steps])
+
+    def verify(self, plant: DelayedPlant) -> None:
+        """Recompute every certificate for a plant; ValueError if one is not as recorded."""
+        for delay, (gain, old) in enumerate(zip(self.gains, self.certificates, strict=True)):
+            if self.input_gains[delay].any():
+                continue  # never certified: there is no verdict to check
+            new = certify(*plant.closed_loop(gain), delay, old.witness)
+            if new.certified != old.certified:
+                raise ValueError(
+                    f"the gain for T={delay} is recorded as "
+                    f"{'certified' if old.certified else 'not certified'}, but its check says "
+                    f"otherwise: margins {dict(new.margins)}, "
+                    f"largest spectral radius {new.spectral_radii.max():.6g}"
+                )
+
+    def to_json(self) -> str:
+        """Return the schedule as JSON text; every float comes back bit for bit."""
+        return dump_schedule(self)
+
+    @classmethod
+    def from_json(cls, text: str) -> GainSchedule:
+        """Return the schedule that `to_json` wrote; a ValueError names the field that is wrong."""
+        return cls(**parse_schedule(text))
+
+
+def design_key(
+    plant: DelayedPlant, max_delay_steps: SupportsIndex, method: Method, decay_rate: float
+) -> str:
+    """Return the SHA-256, in hexadecimal, of everything that `build_schedule` depends on."""
     inputs: dict[str, Any] = {
         "design_version": DESIGN_VERSION,
         "method": method,
         "decay_rate": decay_rate if method == "razumikhin" else None,
-        "max_delay_steps": as_delay_steps("max_delay_steps", max_delay_steps),
+        "max_delay_steps": as_samples("max_delay_steps", max_delay_steps),
         "kind": plant.kind,
         "sampling_s": plant.sampling_s,
     }
@@ -52,38 +196,16 @@ def design_key(plant: DelayedPlant, max_delay_steps: int, method: Method, decay_
 
 def build_schedule(
     plant: DelayedPlant,
-    max_delay_steps: int,
+    max_delay_steps: SupportsIndex,
     method: Method = "krasovskii",
     *,
     decay_rate: float = DEFAULT_DECAY_RATE,
 ) -> GainSchedule:
-    """Design the gain of every delay 0..T_max; each is the one `design_gain` returns.
-
-    Parameters
-    ----------
-    plant : DelayedPlant
-        The plant and its nominal gain.
-    max_delay_steps : int
-        Longest delay T_max in samples.
-    method : {"krasovskii", "razumikhin", "predictor", "latency_compensated", "h2"}
-        How the gains are chosen; see `GainDesigner`.
-    decay_rate : float
-        Decay of V per sample that C1 has to certify, in (0, 1); no other method uses it.
-
-    Returns
-    -------
-    GainSchedule
-        The table.
-
-    Raises
-    ------
-    ValueError
-        If the method, the rate or the delay is not allowed.
-    """
+    """Design the gain of every delay 0..T_max in samples; each is that of `GainDesigner`."""
     from hiersched.control.design import GainDesigner
 
     designer = GainDesigner(plant, method=method, decay_rate=decay_rate)
-    steps = as_delay_steps("max_delay_steps", max_delay_steps)
+    steps = as_samples("max_delay_steps", max_delay_steps)
     designs = [designer.design(delay) for delay in range(steps + 1)]
     logger.info(
         "designed %d gains in %.1f s: %s, %s plant, sampling %.4g s",
@@ -115,34 +237,15 @@ def build_schedule(
 def load_or_build(
     path: str | os.PathLike[str],
     plant: DelayedPlant,
-    max_delay_steps: int,
+    max_delay_steps: SupportsIndex,
     method: Method = "krasovskii",
     *,
     decay_rate: float = DEFAULT_DECAY_RATE,
 ) -> GainSchedule:
-    """Return the schedule cached at `path` if it is this design's, else build and store it.
+    """Return the schedule cached as JSON at `path` if it is this design's, else build and store it.
 
-    A cached schedule passes its certificates again before it is used. The file is replaced
-    atomically.
-
-    Parameters
-    ----------
-    path : path-like
-        The cache file (JSON).
-    plant, max_delay_steps, method, decay_rate
-        As for `build_schedule`.
-
-    Returns
-    -------
-    GainSchedule
-        The table.
-
-    Raises
-    ------
-    ValueError
-        If the method, the rate or the delay is not allowed.
-    OSError
-        If the file cannot be read or written.
+    A cached schedule passes its certificates again before it is used; a file that is not usable is
+    logged. The file is replaced atomically. The rest is as for `build_schedule`.
     """
     target = Path(path)
     key = design_key(plant, max_delay_steps, method, decay_rate)

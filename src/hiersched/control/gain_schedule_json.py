@@ -19,73 +19,58 @@ from hiersched.control.certificate import (
 from hiersched.control.checks import FloatArray
 
 if TYPE_CHECKING:
-    from hiersched.control.gain_table import GainSchedule
+    from hiersched.control.gain_schedule import GainSchedule
 
 FORMAT = "hiersched gain schedule 2"
-_WITNESSES: dict[str, type[RazumikhinWitness | DelayRazumikhinWitness | KrasovskiiWitness]] = {
+_WITNESSES: dict[str, type[Witness]] = {
     witness.criterion: witness
     for witness in (RazumikhinWitness, DelayRazumikhinWitness, KrasovskiiWitness)
 }
 
 
+_HEAD: dict[str, type] = {
+    "key": str,
+    "kind": str,
+    "method": str,
+    "decay_rate": float,
+    "sampling_s": float,
+    "nominal": np.ndarray,
+    "operator_gain": np.ndarray,
+}
+"""Fields of a schedule that are not tables; `_OPTIONAL` ones may be null."""
+_OPTIONAL = ("decay_rate", "operator_gain")
+
+
 def dump_schedule(schedule: GainSchedule) -> str:
-    """Return the schedule as JSON text.
-
-    Parameters
-    ----------
-    schedule : GainSchedule
-        The table.
-
-    Returns
-    -------
-    str
-        JSON; floats in their shortest form that reads back exactly.
-    """
+    """Return the schedule as JSON, floats in their shortest form that reads back exactly."""
     entries = [
         {
             "delay_steps": delay,
             "status": schedule.status[delay],
-            "gain": schedule.gains[delay].tolist(),
-            "input_gains": schedule.input_gains[delay, :delay].tolist(),
-            "certificate": _dump_certificate(schedule.certificates[delay]),
+            "gain": gain,
+            "input_gains": schedule.input_gains[delay, :delay],
+            "certificate": schedule.certificates[delay],
         }
-        for delay in range(schedule.max_delay_steps + 1)
+        for delay, gain in enumerate(schedule.gains)
     ]
-    document = {
-        "format": FORMAT,
-        "key": schedule.key,
-        "kind": schedule.kind,
-        "method": schedule.method,
-        "decay_rate": schedule.decay_rate,
-        "sampling_s": schedule.sampling_s,
-        "nominal": schedule.nominal.tolist(),
-        "operator_gain": None
-        if schedule.operator_gain is None
-        else schedule.operator_gain.tolist(),
-        "entries": entries,
-    }
-    return json.dumps(document, indent=1, allow_nan=False) + "\n"
+    head = {name: getattr(schedule, name) for name in _HEAD}
+    document = {"format": FORMAT, **head, "entries": entries}
+    return json.dumps(document, indent=1, allow_nan=False, default=_plain) + "\n"
 
 
-def parse_schedule(text: str, kind: type[GainSchedule]) -> GainSchedule:
-    """Return the schedule that `dump_schedule` wrote.
+def _plain(value: FloatArray | Certificate | Witness) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, Certificate):
+        names = "certified", "criterion", "margins", "tolerance", "spectral_radii", "witness"
+        return {name: getattr(value, name) for name in names}
+    return vars(value)
 
-    Parameters
-    ----------
-    text : str
-        JSON text.
-    kind : type
-        `GainSchedule`.
 
-    Returns
-    -------
-    GainSchedule
-        The table.
+def parse_schedule(text: str) -> dict[str, Any]:
+    """Return the arguments of `GainSchedule` that `dump_schedule` wrote.
 
-    Raises
-    ------
-    ValueError
-        If the text is no schedule; the message names the field.
+    ValueError if the text is no schedule; the message names the field.
     """
     document = json.loads(text)
     if not isinstance(document, dict) or document.get("format") != FORMAT:
@@ -94,32 +79,28 @@ def parse_schedule(text: str, kind: type[GainSchedule]) -> GainSchedule:
     for delay, entry in enumerate(entries):
         if not isinstance(entry, dict) or entry.get("delay_steps") != delay:
             raise ValueError(f"entries[{delay}] must be an object with delay_steps {delay}")
-    rate, nominal = document.get("decay_rate"), _array(document, "nominal")
-    operator_gain = document.get("operator_gain")
-    return kind(
-        gains=np.array([_array(entry, "gain") for entry in entries]),
-        status=tuple(_field(entry, "status", str) for entry in entries),
-        certificates=tuple(
-            _parse_certificate(delay, _field(entry, "certificate", dict))
-            for delay, entry in enumerate(entries)
+    head = {
+        name: _field(document, name, kind)
+        for name, kind in _HEAD.items()
+        if name not in _OPTIONAL or document.get(name) is not None
+    }
+    return {
+        "decay_rate": None,
+        **head,
+        "gains": np.array([_field(entry, "gain", np.ndarray) for entry in entries]),
+        "status": tuple(_field(entry, "status", str) for entry in entries),
+        "certificates": tuple(
+            _parse_certificate(_field(entry, "certificate", dict)) for entry in entries
         ),
-        nominal=nominal,
-        input_gains=_parse_input_gains(entries, len(nominal)),
-        operator_gain=None if operator_gain is None else _array(document, "operator_gain"),
-        kind=_field(document, "kind", str),
-        method=_field(document, "method", str),
-        decay_rate=None if rate is None else _field(document, "decay_rate", float),
-        sampling_s=_field(document, "sampling_s", float),
-        key=_field(document, "key", str),
-    )
+        "input_gains": _parse_input_gains(entries, len(head["nominal"])),
+    }
 
 
 def _parse_input_gains(entries: list[Any], inputs: int) -> FloatArray:
     """Return the table, zero from the delay on, from the entries' shorter lists."""
-    steps = len(entries) - 1
-    table = np.zeros((len(entries), steps, inputs, inputs))
+    table = np.zeros((len(entries), len(entries) - 1, inputs, inputs))
     for delay, entry in enumerate(entries):
-        gains = _array(entry, "input_gains")
+        gains = _field(entry, "input_gains", np.ndarray)
         if gains.shape != (delay, inputs, inputs) and not gains.size == delay == 0:
             raise ValueError(
                 f"entries[{delay}].input_gains has shape {gains.shape}; "
@@ -129,59 +110,36 @@ def _parse_input_gains(entries: list[Any], inputs: int) -> FloatArray:
     return table
 
 
-def _dump_certificate(certificate: Certificate) -> dict[str, Any]:
-    witness = certificate.witness
-    return {
-        "certified": certificate.certified,
-        "criterion": certificate.criterion,
-        "margins": dict(certificate.margins),
-        "tolerance": certificate.tolerance,
-        "spectral_radii": certificate.spectral_radii.tolist(),
-        "witness": None
-        if witness is None
-        else {
-            field.name: value.tolist() if isinstance(value, np.ndarray) else value
-            for field in fields(witness)
-            for value in [getattr(witness, field.name)]
-        },
-    }
-
-
-def _parse_certificate(delay: int, document: Mapping[str, Any]) -> Certificate:
+def _parse_certificate(document: Mapping[str, Any]) -> Certificate:
     criterion = _field(document, "criterion", str)
     witness: Witness | None = None
     if criterion != "none":
         if criterion not in _WITNESSES:
             raise ValueError(f"criterion is {criterion!r}; it must be one of {list(_WITNESSES)}")
         kind, values = _WITNESSES[criterion], _field(document, "witness", dict)
+        matrices = {name for name, value in values.items() if isinstance(value, list)}
         arguments: dict[str, Any] = {
-            field.name: _array(values, field.name)
-            if isinstance(values.get(field.name), list)
-            else _field(values, field.name, float)
-            for field in fields(kind)
+            part.name: _field(values, part.name, np.ndarray if part.name in matrices else float)
+            for part in fields(kind)
         }
         witness = kind(**arguments)
-    radii = _array(document, "spectral_radii")
     return Certificate(
         certified=_field(document, "certified", bool),
-        criterion=criterion,
-        delay_steps=delay,
         margins=_field(document, "margins", dict),
         tolerance=_field(document, "tolerance", float),
-        spectral_radii=radii,
+        spectral_radii=_field(document, "spectral_radii", np.ndarray),
         witness=witness,
     )
 
 
 def _field(document: Mapping[str, Any], name: str, kind: type) -> Any:
-    value = document.get(name)
-    if not isinstance(value, kind):
-        raise ValueError(f"{name} is {value!r:.60}; it must be a {kind.__name__}")
-    return value
-
-
-def _array(document: Mapping[str, Any], name: str) -> FloatArray:
+    """Return a field of this kind; an array is a list of numbers."""
+    value, expected = document.get(name), list if kind is np.ndarray else kind
+    if not isinstance(value, expected):
+        raise ValueError(f"{name} is {value!r:.60}; it must be a {expected.__name__}")
+    if kind is not np.ndarray:
+        return value
     try:
-        return np.array(_field(document, name, list), dtype=np.float64)
+        return np.array(value, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(f"{name} is no array of numbers: {error}") from error

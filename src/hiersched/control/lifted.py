@@ -2,67 +2,42 @@
 
 from __future__ import annotations
 
+from typing import SupportsIndex
+
 import numpy as np
 import numpy.typing as npt
 
-from hiersched.control.checks import FloatArray, as_delay_steps, as_square, spectral_radius
+from hiersched.control.checks import FloatArray, as_loop, spectral_radius
 
 IntArray = npt.NDArray[np.int64]
 
 
-def lift(A_c: npt.ArrayLike, A_d: npt.ArrayLike, delay_steps: int) -> FloatArray:
-    """Return the delay-free matrix that acts on [x(k), ..., x(k-T)] at the constant delay T.
+def lift(
+    A_c: npt.ArrayLike,
+    A_d: npt.ArrayLike,
+    delay_steps: SupportsIndex,
+    window: int | None = None,
+) -> FloatArray:
+    """Return M of z(k+1) = M z(k), z = [x(k), ..., x(k-H)], at the constant delay T.
 
-    Parameters
-    ----------
-    A_c, A_d : array_like, shape (n, n)
-        Undelayed and delayed matrix.
-    delay_steps : int
-        Constant delay T in samples, at least 0.
-
-    Returns
-    -------
-    ndarray, shape (n (T+1), n (T+1))
-        First block row A_c at column 0 plus A_d at column T, identity shift below.
-
-    Raises
-    ------
-    ValueError
-        If a matrix is malformed or the delay negative.
+    The first block row has A_c at column 0 plus A_d at column T, the others shift; H is `window`,
+    at least T, or T where none is given. Shape (n (H+1), n (H+1)).
     """
-    A_c, A_d, steps = as_loop(A_c, A_d, delay_steps)
-    n = A_c.shape[0]
-    lifted = np.zeros((n * (steps + 1), n * (steps + 1)))
+    A_c, A_d, T = as_loop(A_c, A_d, delay_steps)
+    n, H = A_c.shape[0], T if window is None else window
+    lifted = np.eye(n * (H + 1), k=-n)
     lifted[:n, :n] = A_c
-    lifted[:n, n * steps :] += A_d
-    lifted[n:, : n * steps] = np.eye(n * steps)
+    lifted[:n, n * T : n * (T + 1)] += A_d
     return lifted
 
 
 def spectral_radius_by_delay(
-    A_c: npt.ArrayLike, A_d: npt.ArrayLike, max_delay_steps: int
+    A_c: npt.ArrayLike, A_d: npt.ArrayLike, max_delay_steps: SupportsIndex
 ) -> FloatArray:
-    """Return the spectral radius of the lifted system for each constant delay 0..T.
+    """Return the spectral radius of the lifted system at each constant delay 0..T, shape (T + 1,).
 
     With A_d = U V of rank r, only V x has to be remembered, so the matrix has n + r d rows
     rather than n (d+1); the nonzero eigenvalues are the same.
-
-    Parameters
-    ----------
-    A_c, A_d : array_like, shape (n, n)
-        Undelayed and delayed matrix.
-    max_delay_steps : int
-        Longest delay T in samples.
-
-    Returns
-    -------
-    ndarray, shape (T + 1,)
-        Spectral radii.
-
-    Raises
-    ------
-    ValueError
-        If a matrix is malformed or the delay negative.
     """
     A_c, A_d, steps = as_loop(A_c, A_d, max_delay_steps)
     n = A_c.shape[0]
@@ -84,7 +59,7 @@ def spectral_radius_by_delay(
 def simulate_random_delays(
     A_c: npt.ArrayLike,
     A_d: npt.ArrayLike,
-    delay_steps: int,
+    delay_steps: SupportsIndex,
     *,
     runs: int = 16,
     samples: int = 500,
@@ -92,31 +67,9 @@ def simulate_random_delays(
 ) -> tuple[FloatArray, IntArray]:
     """Simulate x(k+1) = A_c x(k) + A_d x(k-d(k)) under delays that vary at random in 0..T.
 
-    The runs differ in how often the delay changes: at every sample in the first, every 4 (T+1)
-    samples on average in the last. Each starts from a random unit vector held for k <= 0.
-
-    Parameters
-    ----------
-    A_c, A_d : array_like, shape (n, n)
-        Undelayed and delayed matrix.
-    delay_steps : int
-        Longest delay T in samples.
-    runs, samples : int
-        Number of runs and their length, at least 1.
-    seed : int
-        Seed of starts and delays: the same seed gives the same runs.
-
-    Returns
-    -------
-    states : ndarray, shape (samples + 1, runs, n)
-        x(0), x(1), ...
-    delays : ndarray, shape (samples, runs)
-        d(0), d(1), ...
-
-    Raises
-    ------
-    ValueError
-        If a matrix is malformed, the delay negative or a number below 1.
+    Returns x(0), x(1), ..., shape (samples + 1, runs, n), and the delays, shape (samples, runs).
+    Each run starts from a random unit vector held for k <= 0. The delay changes at every sample in
+    the first run, every 4 (T+1) samples on average in the last. The same seed gives the same runs.
     """
     A_c, A_d, T = as_loop(A_c, A_d, delay_steps)
     for name, count in (("runs", runs), ("samples", samples)):
@@ -136,12 +89,3 @@ def simulate_random_delays(
         late = states[np.maximum(k - delays[k], 0), columns]
         states[k + 1] = states[k] @ A_c.T + late @ A_d.T
     return states, delays
-
-
-def as_loop(
-    A_c: npt.ArrayLike, A_d: npt.ArrayLike, delay_steps: int
-) -> tuple[FloatArray, FloatArray, int]:
-    """Return the checked matrices and delay of x(k+1) = A_c x(k) + A_d x(k-d), 0 <= d <= T."""
-    A_c = as_square("A_c", A_c)
-    A_d = as_square("A_d", A_d, A_c.shape[0])
-    return A_c, A_d, as_delay_steps("delay_steps", delay_steps)

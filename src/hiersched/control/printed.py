@@ -13,16 +13,12 @@ definite. A - B K does not appear in it, Y = K P makes it cubic in (P, K), and
 
 from __future__ import annotations
 
+from typing import SupportsIndex
+
 import numpy as np
 import numpy.typing as npt
 
-from hiersched.control.checks import (
-    FloatArray,
-    as_delay_steps,
-    as_matrix,
-    as_square,
-    as_symmetric,
-)
+from hiersched.control.checks import FloatArray, as_plant, as_samples, as_square, as_symmetric
 
 
 def printed_inequality(
@@ -32,42 +28,19 @@ def printed_inequality(
     K: npt.ArrayLike,
     P: npt.ArrayLike,
     decay_rate: float,
-    delay_steps: int,
+    delay_steps: SupportsIndex,
 ) -> FloatArray:
-    """Return the matrix that the paper asks to be negative definite, entry by entry.
+    """Return the matrix M that the paper asks to be negative definite, shape (3n, 3n).
 
-    Parameters
-    ----------
-    A, A_d : array_like, shape (n, n)
-        State matrix and delayed matrix.
-    B : array_like, shape (n, m)
-        Input matrix.
-    K : array_like, shape (m, n)
-        Gain; the paper's Y = K P.
-    P : array_like, shape (n, n)
-        Symmetric matrix of V = x^T P x.
-    decay_rate : float
-        The paper's alpha, in [0, 1).
-    delay_steps : int
-        The paper's T_d in gamma = 1 + alpha T_d.
-
-    Returns
-    -------
-    ndarray, shape (3n, 3n)
-        The printed matrix.
-
-    Raises
-    ------
-    ValueError
-        If a matrix or a number is malformed.
+    K is the gain of the paper's Y = K P, `decay_rate` its alpha in [0, 1), `delay_steps` its T_d in
+    gamma = 1 + alpha T_d.
     """
-    A = as_square("A", A)
+    A, B, K = as_plant(A, B, K)
     n = A.shape[0]
-    A_d, B = as_square("A_d", A_d, n), as_matrix("B", B, (n, None))
-    K, P = as_matrix("K", K, (B.shape[1], n)), as_symmetric("P", P, n)
+    A_d, P = as_square("A_d", A_d, n), as_symmetric("P", P, n)
     if not 0.0 <= decay_rate < 1.0:
         raise ValueError(f"decay_rate is {decay_rate!r}; it must lie in [0, 1)")
-    gamma = 1.0 + decay_rate * as_delay_steps("delay_steps", delay_steps)
+    gamma = 1.0 + decay_rate * as_samples("delay_steps", delay_steps)
     B_Y = B @ (K @ P)
     return np.block(
         [
@@ -79,26 +52,10 @@ def printed_inequality(
 
 
 def violating_direction(matrix: npt.ArrayLike, P: npt.ArrayLike) -> FloatArray:
-    """Return a direction v in which the printed matrix M is not negative: v^T M v >= 0.
+    """Return a unit vector v, shape (3n,), in which the M made with P is not negative.
 
-    Built from the argument at the top of this module, not from the spectrum of M.
-
-    Parameters
-    ----------
-    matrix : array_like, shape (3n, 3n)
-        M from `printed_inequality`.
-    P : array_like, shape (n, n)
-        The P it was made with.
-
-    Returns
-    -------
-    ndarray, shape (3n,)
-        A unit vector; v^T M v is at least 0 up to rounding.
-
-    Raises
-    ------
-    ValueError
-        If a matrix is malformed.
+    v^T M v is at least 0 up to rounding. It is built from the argument at the top of this module,
+    not from the spectrum of M.
     """
     P = as_symmetric("P", P)
     n = P.shape[0]

@@ -1,4 +1,4 @@
-"""C1 and C2: Razumikhin conditions, for the analysis of a given loop.
+"""C1 and C2: Razumikhin conditions, analysis of both and synthesis by C1.
 
 The closed loop is x(k+1) = A_c x(k) + A_d x(k-d(k)), 0 <= d(k) <= T, with V = x^T P x.
 
@@ -13,49 +13,62 @@ weights a P exists, and a search over the weights finds the best ones.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import SupportsIndex
 
+import cvxpy as cp
 import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
-from hiersched.control.certificate import DelayRazumikhinWitness, RazumikhinWitness
-from hiersched.control.checks import FloatArray, as_delay_steps, as_square, spectral_radius
-from hiersched.control.lmi import balance, symmetrised
+from hiersched.control.certificate import (
+    DEFAULT_DECAY_RATE,
+    DelayRazumikhinWitness,
+    RazumikhinWitness,
+)
+from hiersched.control.checks import (
+    FloatArray,
+    as_decay_rate,
+    as_definite,
+    as_loop,
+    as_samples,
+    spectral_radius,
+    symmetrised,
+)
+from hiersched.control.delayed_plant import DelayedPlant
+from hiersched.control.lmi import (
+    STRICT,
+    Expression,
+    Solution,
+    balance,
+    line_search,
+    refine,
+    solve,
+    symmetric_blocks,
+    transformed,
+)
 
 REACH = 12.0
 """The searches go over shares from 2^-REACH to 1 - 2^-REACH: where the best share is 0, they may
 miss the last ten-thousandth of what a condition can certify."""
 
+CENTRAL_TAU = 2.0**-5
+"""Middle of the scan of tau in synthesis, which reaches 4 octaves either way (2e-3 to 0.5)."""
 
-def razumikhin_gamma(decay_rate: float, delay_steps: int) -> float:
-    """Return g = (1 - a)^-T, the bound V(k-d) <= g V(k) that certifies the decay rate a.
+_Proven = Solution[RazumikhinWitness]
 
-    Parameters
-    ----------
-    decay_rate : float
-        Relative decay a of V per sample, in (0, 1).
-    delay_steps : int
-        Longest delay T in samples.
 
-    Returns
-    -------
-    float
-        At least the paper's 1 + a T (Bernoulli's inequality).
+def razumikhin_gamma(decay_rate: float, delay_steps: SupportsIndex) -> float:
+    """Return g = (1 - a)^-T, the bound V(k-d) <= g V(k) that certifies the decay a in (0, 1).
 
-    Raises
-    ------
-    ValueError
-        If a number is outside its range.
+    It is at least the paper's 1 + a T (Bernoulli's inequality).
     """
-    if not 0.0 < decay_rate < 1.0:
-        raise ValueError(f"decay_rate is {decay_rate!r}; it must lie in (0, 1)")
-    return float((1.0 - decay_rate) ** -as_delay_steps("delay_steps", delay_steps))
+    return (1.0 - as_decay_rate(decay_rate)) ** -as_samples("delay_steps", delay_steps)
 
 
 class WeightedMap:
     """The map Q -> sum_i F_i Q F_i^T / w_i of symmetric matrices, which decides on a P.
 
-    With F = [F_1, ..., F_k] and Q = P^-1, the Schur complement turns the condition
+    With F = [F_1, ..., F_k] (`blocks`, (n, n) each) and Q = P^-1, the Schur complement turns
 
         diag(w_1 P, ..., w_k P) - F^T P F > 0        (k n x k n)
 
@@ -63,11 +76,6 @@ class WeightedMap:
     is such a P if and only if its spectral radius is below 1. This radius is a limit of sums of
     products of the 1/w_i with positive factors: its logarithm is convex in the weights, so that
     searches over them meet one valley only.
-
-    Parameters
-    ----------
-    blocks : sequence of ndarray, shape (n, n) each
-        F_1, ..., F_k.
     """
 
     def __init__(self, blocks: Sequence[FloatArray]) -> None:
@@ -103,38 +111,31 @@ class WeightedMap:
         return total
 
 
-def least(cost: Callable[[float], float]) -> tuple[float, float]:
-    """Minimise a function of one valley over the shares (0, 1).
+def _least(cost: Callable[[float], float]) -> tuple[float, float]:
+    """Return the least cost over the shares (0, 1), and where: log2(share / (1 - share)) to 1e-5.
 
-    Parameters
-    ----------
-    cost : callable
-        Function of the share.
-
-    Returns
-    -------
-    cost, share : float
-        The least cost found and where; shares are compared as log2(share / (1 - share)), to 1e-5.
+    The cost must have one valley.
     """
+
+    def share(position: float) -> float:
+        return float(1.0 / (1.0 + 2.0**-position))
+
     found = minimize_scalar(
-        lambda position: cost(_share(position)),
+        lambda position: cost(share(position)),
         bounds=(-REACH, REACH),
         method="bounded",
         options={"xatol": 1e-5},
     )
-    return float(found.fun), _share(float(found.x))
-
-
-def _share(position: float) -> float:
-    return float(1.0 / (1.0 + 2.0**-position))
+    return float(found.fun), share(float(found.x))
 
 
 def analyse_razumikhin(
-    A_c: npt.ArrayLike, A_d: npt.ArrayLike, delay_steps: int, decay_rate: float
+    A_c: npt.ArrayLike, A_d: npt.ArrayLike, delay_steps: SupportsIndex, decay_rate: float
 ) -> RazumikhinWitness | None:
     """C1 analysis: search V = x^T P x with V(k+1) <= (1 - a - tau g) V(k) + tau V(k-d).
 
-    With g = (1 - a)^-T, find P > 0 and tau > 0 such that (2n x 2n)
+    With the relative decay a in (0, 1) of V a sample and g = (1 - a)^-T, find P > 0 and tau > 0
+    such that (2n x 2n)
 
         diag((1 - a - tau g) P, tau P) - [A_c, A_d]^T P [A_c, A_d] > 0.
 
@@ -142,40 +143,21 @@ def analyse_razumikhin(
     Exact for each tau (`WeightedMap`); tau is searched in (0, (1 - a - rho(A_c)^2) / g), outside
     of which there is no P.
 
-    Parameters
-    ----------
-    A_c, A_d : array_like, shape (n, n)
-        Undelayed and delayed matrix of the closed loop.
-    delay_steps : int
-        Longest delay T in samples over which the decay rate has to hold.
-    decay_rate : float
-        Relative decay a of V per sample, in (0, 1).
-
-    Returns
-    -------
-    RazumikhinWitness or None
-        What was found; only `certify` says whether it holds. None if no tau admits a P: always
-        so where A_c is not stable by itself, because the delay may be infinite.
-
-    Raises
-    ------
-    ValueError
-        If a matrix or a number is malformed.
+    Only `certify` says whether what was found holds. None if no tau admits a P: always so where
+    A_c is not stable by itself, because the delay may be infinite.
     """
-    A_c = as_square("A_c", A_c)
-    A_d = as_square("A_d", A_d, A_c.shape[0])
-    gamma = razumikhin_gamma(decay_rate, delay_steps)
+    A_c, A_d, T = as_loop(A_c, A_d, delay_steps)
+    gamma = razumikhin_gamma(decay_rate, T)
     largest = (1.0 - decay_rate - spectral_radius(A_c) ** 2) / gamma
     scaling = balance(A_c)
     if scaling is None or largest <= 0.0:
         return None
-    inverse = np.linalg.inv(scaling)
-    condition = WeightedMap([scaling @ A_c @ inverse, scaling @ A_d @ inverse])
+    condition = WeightedMap([transformed(scaling, A_c), transformed(scaling, A_d)])
 
     def weights(share: float) -> tuple[float, float]:
         return 1.0 - decay_rate - share * largest * gamma, share * largest
 
-    radius, share = least(lambda share: condition.radius(*weights(share)))
+    radius, share = _least(lambda share: condition.radius(*weights(share)))
     P = condition.solve(*weights(share)) if radius < 1.0 else None
     if P is None:
         return None
@@ -184,7 +166,7 @@ def analyse_razumikhin(
 
 
 def analyse_delay_razumikhin(
-    A_c: npt.ArrayLike, A_d: npt.ArrayLike, delay_steps: int
+    A_c: npt.ArrayLike, A_d: npt.ArrayLike, delay_steps: SupportsIndex
 ) -> DelayRazumikhinWitness | None:
     """C2 analysis: search V = x^T P x with V(k+1) < max V over the last 2T + 1 samples.
 
@@ -196,44 +178,25 @@ def analyse_delay_razumikhin(
     Exact for each (p, t1, t2) (`WeightedMap`); searched are p in (rho(A_c + A_d)^2, 1), below
     which there is no P, and the share of t1 in the rest.
 
-    Parameters
-    ----------
-    A_c, A_d : array_like, shape (n, n)
-        Undelayed and delayed matrix of the closed loop.
-    delay_steps : int
-        Longest delay T in samples.
-
-    Returns
-    -------
-    DelayRazumikhinWitness or None
-        What was found; only `certify` says whether it holds. None if A_c + A_d is unstable or no
-        weights admit a P: C2 then says nothing (it is more conservative than C3).
-
-    Raises
-    ------
-    ValueError
-        If a matrix or the delay is malformed.
+    Only `certify` says whether what was found holds. None if A_c + A_d is unstable or no weights
+    admit a P: C2 then says nothing (it is more conservative than C3).
     """
-    A_c = as_square("A_c", A_c)
-    n = A_c.shape[0]
-    A_d = as_square("A_d", A_d, n)
-    T = as_delay_steps("delay_steps", delay_steps)
+    A_c, A_d, T = as_loop(A_c, A_d, delay_steps)
     slowest = spectral_radius(A_c + A_d) ** 2
     scaling = balance(A_c + A_d)
     if scaling is None or slowest >= 1.0:
         return None
-    inverse = np.linalg.inv(scaling)
-    A_z, D_z = scaling @ A_c @ inverse, scaling @ A_d @ inverse
-    condition = WeightedMap([A_z + D_z, -T * D_z @ (A_z - np.eye(n)), -T * D_z @ D_z])
+    A_z, D_z = transformed(scaling, A_c), transformed(scaling, A_d)
+    condition = WeightedMap([A_z + D_z, -T * D_z @ (A_z - np.eye(len(A_z))), -T * D_z @ D_z])
 
     def weights(share: float, first: float) -> tuple[float, float, float]:
         rest = (1.0 - slowest) * (1.0 - share)
         return slowest + (1.0 - slowest) * share, rest * first, rest * (1.0 - first)
 
     def best_first(share: float) -> tuple[float, float]:
-        return least(lambda first: condition.radius(*weights(share, first)))
+        return _least(lambda first: condition.radius(*weights(share, first)))
 
-    radius, share = least(lambda share: best_first(share)[0])
+    radius, share = _least(lambda share: best_first(share)[0])
     if radius >= 1.0:
         return None
     # Radius and sum of the weights trade one for one: half of the gap goes to each inequality.
@@ -242,5 +205,193 @@ def analyse_delay_razumikhin(
     P = condition.solve(p, t1, t2)
     if P is None:
         return None
-    P = symmetrised(scaling.T @ P @ scaling)
-    return DelayRazumikhinWitness(P=P, p=p, t1=t1, t2=t2)
+    return DelayRazumikhinWitness(P=symmetrised(scaling.T @ P @ scaling), p=p, t1=t1, t2=t2)
+
+
+class LargestMargin:
+    """Search P of largest margin t: diag(weights x P) - F^T P F >= t I, P >= 0, trace P = n.
+
+    Only for step (c), which needs room around P in every direction: whether there is a P at all
+    is what `WeightedMap` decides, since t is next to 0 beside a P that is nearly singular. F, shape
+    (n, k n), holds the blocks by which V(k+1) is formed from k states, in well scaled coordinates.
+    """
+
+    def __init__(self, F: FloatArray) -> None:
+        n = F.shape[0]
+        blocks = F.shape[1] // n
+        self._P = cp.Variable((n, n), symmetric=True)
+        self._margin = cp.Variable()
+        self._weights = [cp.Parameter(nonneg=True) for _ in range(blocks)]
+        selectors = np.split(np.eye(blocks * n), blocks)
+        decrease = -F.T @ self._P @ F
+        for weight, selector in zip(self._weights, selectors, strict=True):
+            decrease = decrease + weight * (selector.T @ self._P @ selector)
+        constraints = [
+            (decrease + decrease.T) / 2 >> self._margin * np.eye(blocks * n),
+            self._P >> 0,
+            cp.trace(self._P) == n,
+        ]
+        self._problem = cp.Problem(cp.Maximize(self._margin), constraints)
+
+    def solve(self, *weights: float) -> tuple[float, FloatArray] | None:
+        """Return (margin, P) for these weights, or None if the solver gave up."""
+        for parameter, weight in zip(self._weights, weights, strict=True):
+            parameter.value = weight
+        if not solve(self._problem):
+            return None
+        return float(self._margin.value), np.asarray(self._P.value)
+
+
+def _certifying(
+    p: Expression, tau: Expression, Q: Expression, loop: Expression, delayed: Expression
+) -> Expression:
+    """Return [[p Q, 0, loop^T], [0, tau Q, delayed^T], [loop, delayed, Q]]."""
+    zero = np.zeros(Q.shape)
+    return symmetric_blocks([[p * Q, zero, loop.T], [tau * Q, delayed.T], [Q]])
+
+
+class RazumikhinSynthesis:
+    """C1 synthesis for one split plant and decay rate a in (0, 1), compiled once and re-solved.
+
+    With Q = P^-1, Y = K Q, g = (1 - a)^-T and p = 1 - a - tau g, min ||(Y - K_nominal Q) W||_F^2
+    over Q >= I and Y subject to (3n x 3n)
+
+        [[p Q, 0, (A Q - B Y)^T], [0, tau Q, (A_d Q)^T], [A Q - B Y, A_d Q, Q]] > 0.
+
+    Clarabel, in coordinates where the Riccati solution is the identity. A network plant is a
+    ValueError: with all feedback delayed A_c = A, and C1, which holds for any delay, would need a
+    stable A.
+    """
+
+    def __init__(self, plant: DelayedPlant, decay_rate: float) -> None:
+        if plant.A_d is None:
+            raise ValueError(
+                f"kind is {plant.kind!r}; C1 synthesis needs a 'split' plant (A_c = A - B K)"
+            )
+        self._rate, self._scaling = as_decay_rate(decay_rate), plant.scaling
+        self._plant = (plant.A, plant.A_d, plant.B)
+        self._nominal = plant.nominal_gain
+        self._build_free()
+        self._build_fixed()
+
+    def _build_free(self) -> None:
+        """Build (b): Q = P^-1 and Y = K Q free, tau fixed."""
+        A, A_d, B = self._in_coordinates(self._scaling)
+        n, m = B.shape
+        self._Q, self._Y = cp.Variable((n, n), symmetric=True), cp.Variable((m, n))
+        self._p, self._tau = cp.Parameter(nonneg=True), cp.Parameter(nonneg=True)
+        self._weight = cp.Parameter((n, n))
+        inequality = _certifying(
+            self._p, self._tau, self._Q, A @ self._Q - B @ self._Y, A_d @ self._Q
+        )
+        nominal = self._nominal @ np.linalg.inv(self._scaling)
+        deviation = (self._Y - nominal @ self._Q) @ self._weight
+        # Homogeneous in (Q, Y): without Q >= I the unknowns shrink to zero.
+        self._free = cp.Problem(
+            cp.Minimize(cp.sum_squares(deviation)),
+            [inequality >> STRICT * np.eye(3 * n), self._Q >> np.eye(n)],
+        )
+
+    def _build_fixed(self) -> None:
+        """Build (a): P = C^T C fixed, K and tau free, in the coordinates w = C x where P is I."""
+        n, m = self._plant[2].shape
+        self._K_w, self._free_tau = cp.Variable((m, n)), cp.Variable(nonneg=True)
+        self._A_w, self._A_d_w, self._C = (cp.Parameter((n, n)) for _ in range(3))
+        self._B_w, self._gamma = cp.Parameter((n, m)), cp.Parameter(nonneg=True)
+        weight = 1.0 - self._rate - self._free_tau * self._gamma
+        inequality = _certifying(
+            weight, self._free_tau, np.eye(n), self._A_w - self._B_w @ self._K_w, self._A_d_w
+        )
+        deviation = self._K_w @ self._C - self._nominal
+        self._fixed = cp.Problem(
+            cp.Minimize(cp.sum_squares(deviation)), [inequality >> STRICT * np.eye(3 * n)]
+        )
+
+    def minimal_deviation(
+        self, delay_steps: SupportsIndex, *, max_reweights: int = 12, max_alternations: int = 30
+    ) -> tuple[FloatArray, RazumikhinWitness] | None:
+        """Return the gain closest to the nominal one that C1 admits, and why it is stable.
+
+        (b) with a scan over tau, reweighted by Q^-1 while the deviation falls, then (c): (a)
+        for the last P, alternating with the P of largest margin for the last gain.
+
+        The witness has yet to be certified. None if no tau in 2e-3..0.5 is feasible: no local gain
+        was found for which any operator's delay would do no harm.
+        """
+        gamma = razumikhin_gamma(self._rate, delay_steps)
+        best = line_search(lambda tau: self._solve_free(gamma, tau, self._scaling), CENTRAL_TAU)
+        if best is None:
+            return None
+
+        def reweighted(last: _Proven) -> _Proven | None:
+            weight = np.linalg.inv(self._scaling).T @ last.proof.P
+            return self._solve_free(gamma, last.proof.tau, weight / np.linalg.norm(weight, 2))
+
+        best = refine(best, reweighted, max_reweights)
+        best = refine(best, lambda last: self._alternated(gamma, last), max_alternations)
+        return best.K, best.proof
+
+    def _solve_free(self, gamma: float, tau: float, weight: FloatArray) -> _Proven | None:
+        p = 1.0 - self._rate - tau * gamma
+        if p <= 0.0:
+            return None
+        self._p.value, self._tau.value, self._weight.value = p, tau, weight
+        if not solve(self._free):
+            return None
+        P = symmetrised(np.linalg.inv(self._Q.value))
+        K = np.asarray(self._Y.value) @ P @ self._scaling
+        return self._solution(K, self._scaling.T @ P @ self._scaling, tau)
+
+    def closest_for(
+        self, P: FloatArray, delay_steps: SupportsIndex
+    ) -> tuple[FloatArray, RazumikhinWitness] | None:
+        """Return the gain closest to the nominal one for a fixed P > 0: (a), exact and convex.
+
+        Minimises ||K^ - K||_F^2 over (K^, tau) subject to (3n x 3n)
+
+            [[(1 - a - tau g) P, 0, (A - B K^)^T P], [0, tau P, A_d^T P], [*, *, P]] > 0.
+
+        The witness has yet to be certified. None if this P admits no gain; ValueError if P is not
+        positive definite.
+        """
+        P = as_definite("P", P, self._scaling.shape[0])
+        gamma = razumikhin_gamma(self._rate, delay_steps)
+        best = self._solve_fixed(gamma, np.asarray(np.linalg.cholesky(P).T, dtype=np.float64))
+        return None if best is None else (best.K, best.proof)
+
+    def _alternated(self, gamma: float, last: _Proven) -> _Proven | None:
+        """Take a step of (c): centre P for the last gain and tau, then solve (a) for that P."""
+        C = np.asarray(np.linalg.cholesky(last.proof.P).T, dtype=np.float64)
+        A_w, A_d_w, B_w = self._in_coordinates(C)
+        search = LargestMargin(np.hstack([A_w - B_w @ last.K @ np.linalg.inv(C), A_d_w]))
+        tau = last.proof.tau
+        found = search.solve(max(1.0 - self._rate - tau * gamma, 0.0), tau)
+        if found is None or found[0] <= 0.0:
+            return None
+        return self._solve_fixed(gamma, np.linalg.cholesky(found[1]).T @ C)
+
+    def _solve_fixed(self, gamma: float, C: FloatArray) -> _Proven | None:
+        """Solve (a) for P = C^T C."""
+        self._A_w.value, self._A_d_w.value, self._B_w.value = self._in_coordinates(C)
+        self._C.value, self._gamma.value = C, gamma
+        if not solve(self._fixed):
+            return None
+        return self._solution(self._K_w.value @ C, C.T @ C, float(self._free_tau.value))
+
+    def _in_coordinates(self, C: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return A, A_d and B of the plant in w = C x."""
+        A, A_d, B = self._plant
+        return transformed(C, A), transformed(C, A_d), C @ B
+
+    def _solution(self, K: FloatArray, P: FloatArray, tau: float) -> _Proven | None:
+        if not np.isfinite(K).all():
+            return None
+        witness = RazumikhinWitness(P=symmetrised(P), tau=tau, decay_rate=self._rate)
+        return Solution(K, float(np.linalg.norm(K - self._nominal)), witness)
+
+
+def synthesise_razumikhin(
+    plant: DelayedPlant, delay_steps: SupportsIndex, decay_rate: float = DEFAULT_DECAY_RATE
+) -> tuple[FloatArray, RazumikhinWitness] | None:
+    """C1 synthesis at one delay: `RazumikhinSynthesis.minimal_deviation`, compiled for it alone."""
+    return RazumikhinSynthesis(plant, decay_rate).minimal_deviation(delay_steps)

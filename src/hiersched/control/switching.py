@@ -28,7 +28,7 @@ from hiersched.control.functional import (
     lifted_modes,
     worst_period,
 )
-from hiersched.control.gain_table import GainSchedule
+from hiersched.control.gain_schedule import GainSchedule
 from hiersched.control.krasovskii import analyse_krasovskii
 
 logger = logging.getLogger(__name__)
@@ -45,79 +45,42 @@ PERIODS = (1, 2, 3, 4, 6, 8, 10, 12, 16, 24)
 
 @dataclass(frozen=True, kw_only=True)
 class Switch:
-    """What is known of switching back and forth between two gains of a schedule.
+    """What is known of switching back and forth between two gains of a schedule."""
 
-    Parameters
-    ----------
-    shorter, longer : int
-        Longest delay T in samples that either gain covers.
-    covered_by : {"common", "hold", "none"}
-        "common": a common functional, any switching. "hold": two functionals and a hold. "none":
-        no functional was found for one of the two gains.
-    hold_samples : int or None
-        Least N of `hold_step` for which the switching is proven; 0 for "common", None for "none".
-    contraction : float
-        Largest V(k+1) / V(k) of the common functional, recomputed from eigenvalues; NaN without.
-    growth : float
-        Largest growth per sample of ||x|| that a periodic switching without a hold was found to
-        cause; NaN where none was sought because the switch is "common". At 1 or more the loop
-        diverges under it.
-    period : (int, int)
-        Samples that this switching spends on the shorter gain (at its longest delay) and on the
-        longer one (at its own); (0, 0) where none was sought.
-    """
-
-    shorter: int
+    shorter: int  # longest delay T in samples that either gain covers
     longer: int
+    # "common": a common functional, any switching. "hold": two functionals and a hold. "none": no
+    # functional was found for one of the two gains.
     covered_by: Literal["common", "hold", "none"]
-    hold_samples: int | None
-    contraction: float
-    growth: float
-    period: tuple[int, int]
+    hold_samples: int | None  # least N of `hold_step` proven; 0 for "common", None for "none"
+    contraction: float = math.nan  # largest V(k+1) / V(k) of the common functional; NaN without
+    # Largest growth per sample of ||x|| that a periodic switching without a hold was found to
+    # cause, at 1 or more the loop diverges under it; and its samples on the shorter gain (at its
+    # longest delay) and on the longer one (at its own). NaN, (0, 0) for "common": none was sought.
+    growth: float = math.nan
+    period: tuple[int, int] = (0, 0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SwitchingReport:
-    """Which switches of a schedule are covered.
+    """Which switches of a schedule are covered."""
 
-    Parameters
-    ----------
-    levels : tuple of int
-        Longest delay of each different certified gain, increasing.
-    level_of : tuple of (int or None), length T_max + 1
-        Level of the gain of each entry of the table; None where the gain has no certificate, so
-        that no switch to or from it is covered.
-    switches : tuple of Switch
-        One for each pair of levels.
-    hold_samples : int or None
-        Least N for which every switching among all levels is proven; None if there is none. 0 if
-        one functional is common to all of them.
-    contraction : float
-        Largest V(k+1) / V(k) of that functional; NaN without.
-    solve_time_s : float
-        Wall-clock time spent, in s.
-    """
-
-    levels: tuple[int, ...]
+    levels: tuple[int, ...]  # longest delay of each different certified gain, increasing
+    # Level of the gain of each of the T_max + 1 entries of the table; None where the gain has no
+    # certificate, so that no switch to or from it is covered.
     level_of: tuple[int | None, ...]
-    switches: tuple[Switch, ...]
+    switches: tuple[Switch, ...]  # one for each pair of levels
+    # Least N for which every switching among all levels is proven, None if there is none; 0 if one
+    # functional is common to all of them, whose largest V(k+1) / V(k) is `contraction`, else NaN.
     hold_samples: int | None
     contraction: float
-    solve_time_s: float
+    solve_time_s: float  # wall-clock time spent
 
     def covered(self, hold_samples: int = 0) -> npt.NDArray[np.bool_]:
-        """Return which pairs of delays may alternate for ever, given a hold.
+        """Return which pairs of delays may alternate for ever, given the N of `hold_step`.
 
-        Parameters
-        ----------
-        hold_samples : int
-            N of `hold_step`.
-
-        Returns
-        -------
-        ndarray of bool, shape (T_max + 1, T_max + 1)
-            Symmetric. Each entry speaks of its two gains only; more than two are covered
-            together from `hold_samples` on.
+        Shape (T_max + 1, T_max + 1), symmetric. Each entry speaks of its two gains only; more than
+        two are covered together from `self.hold_samples` on.
         """
         held = {(s.shorter, s.longer): s.hold_samples for s in self.switches}
         table = np.zeros((len(self.level_of), len(self.level_of)), dtype=np.bool_)
@@ -149,24 +112,9 @@ def switching_report(plant: DelayedPlant, schedule: GainSchedule) -> SwitchingRe
     longer gain is a contraction once mu_12 mu_21 r_1 r_2^(N+1) < 1. All functionals are checked
     by `functional.contraction`, which shares nothing with the solver. Where no common functional
     is found, a periodic switching that diverges is sought, to tell a real danger from caution.
-    Where every pair has one, one for all levels is tried.
-
-    Parameters
-    ----------
-    plant : DelayedPlant
-        The plant that the schedule was designed for.
-    schedule : GainSchedule
-        The table; memoryless gains are covered, the predictor's are not.
-
-    Returns
-    -------
-    SwitchingReport
-        The pairs, and the hold that covers all of them together.
-
-    Raises
-    ------
-    ValueError
-        If the schedule is another plant's: a verdict does not come out as recorded.
+    Where every pair has one, one for all levels is tried. Memoryless gains are covered, the
+    predictor's are not. ValueError if the schedule is another plant's: a verdict does not come out
+    as recorded.
     """
     start = time.perf_counter()
     schedule.verify(plant)
@@ -222,13 +170,7 @@ def _switch(one: _Level, other: _Level) -> Switch:
     rate = _common_contraction([one, other])
     if rate < 1.0:
         return Switch(
-            shorter=one.T,
-            longer=other.T,
-            covered_by="common",
-            hold_samples=0,
-            contraction=rate,
-            growth=math.nan,
-            period=(0, 0),
+            shorter=one.T, longer=other.T, covered_by="common", hold_samples=0, contraction=rate
         )
     hold = _hold_for_all([one, other])
     growth, *period = worst_period(one.modes[-1], other.modes[-1], PERIODS)
@@ -237,7 +179,6 @@ def _switch(one: _Level, other: _Level) -> Switch:
         longer=other.T,
         covered_by="none" if hold is None else "hold",
         hold_samples=hold,
-        contraction=math.nan,
         growth=growth,
         period=(period[0], period[1]),
     )

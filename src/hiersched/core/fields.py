@@ -40,7 +40,6 @@ TOPIC_MEANINGS = {
     "/queue": "backlog F and what happens to it: F(t+1) = max(0, F + A - mu)",
     "/delay": "measured delays, deadlines, and the Lyapunov terms and rewards of the slot",
     "/robots": "robots and the gains in force, at the end of the slot unless it says otherwise",
-    "/slices": "what training is judged by, where there are no numbers of users",
     "/models": "what the scenario's models add of their own; only where they add something",
 }
 STORED_TOPICS = ("/channel", "/world")
@@ -130,6 +129,12 @@ FIELDS: tuple[Field, ...] = tuple([
         ("penalty_embb", "<f8", "", "s^2/Mbit^2", COMPACT, "h of the eMBB users"),
         ("reward_urllc", "<f8", "", "1", DECISIONS, "reward of the URLLC agent"),
         ("reward_embb", "<f8", "", "1", DECISIONS, "reward of the eMBB agent"),
+        ("backlog_urllc_packets", "<f8", "", "packet", SUMS, "mean of F(t) over the URLLC users; 0 where there are none"),
+        ("backlog_embb_packets", "<f8", "", "packet", SUMS, "mean of F(t) over the eMBB users; 0 where there are none"),
+        ("due_urllc_packets", "<u4", "", "packet", SUMS, "packets of the URLLC users whose deadline fell in this slot"),
+        ("due_embb_packets", "<u4", "", "packet", SUMS, "packets of the eMBB users whose deadline fell in this slot"),
+        ("late_urllc_packets", "<u4", "", "packet", SUMS, "packets among due_urllc_packets that were late"),
+        ("late_embb_packets", "<u4", "", "packet", SUMS, "packets among due_embb_packets that were late"),
     ),
     *_topic(
         "/robots",
@@ -145,20 +150,13 @@ FIELDS: tuple[Field, ...] = tuple([
         ("dexterity_index", "<f8", "R", "1", ROBOTS, "dexterity index in force during the slot, in [0, 1]"),
     ),
     *_topic(
-        "/slices",
-        ("backlog_urllc_packets", "<f8", "", "packet", SUMS, "mean of F(t) over the URLLC users; 0 where there are none"),
-        ("backlog_embb_packets", "<f8", "", "packet", SUMS, "mean of F(t) over the eMBB users; 0 where there are none"),
-        ("due_urllc_packets", "<u4", "", "packet", SUMS, "packets of the URLLC users whose deadline fell in this slot"),
-        ("due_embb_packets", "<u4", "", "packet", SUMS, "packets of the eMBB users whose deadline fell in this slot"),
-        ("late_urllc_packets", "<u4", "", "packet", SUMS, "packets among due_urllc_packets that were late"),
-        ("late_embb_packets", "<u4", "", "packet", SUMS, "packets among due_embb_packets that were late"),
-    ),
-    *_topic(
         "/models",
         ("model_values", "<f8", "X", "any", COMPACT, "the metadata key model_fields says which fields these are, and their units; 0 where a model wrote nothing"),
     ),
 ])
 # fmt: on
+
+SLICE_FIELDS = tuple(field.name for field in FIELDS if field.profiles == SUMS)
 
 
 @dataclass(frozen=True)

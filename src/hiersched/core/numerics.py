@@ -8,11 +8,12 @@ measure it.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, TypeVar
+from typing import Any
 
 import numpy as np
 from numba import njit, types
 from numba.extending import intrinsic
+from numpy.typing import NDArray
 
 F32 = np.float32
 _SQRT_HALF_32 = np.int32(0x3F3504F3)
@@ -23,26 +24,59 @@ _LOG2_E = 1.4426950408889634
 _LN2_HIGH = 6.93147180369123816490e-01
 _LN2_LOW = 1.90821492927058770002e-10
 
+# Coefficients of polynomials, that of the highest power first.
+_LN_F32 = tuple(
+    map(
+        F32,
+        (7.0376836292e-2, -1.1514610310e-1, 1.1676998740e-1, -1.2420140846e-1, 1.4249322787e-1,
+         -1.6668057665e-1, 2.0000714765e-1, -2.4999993993e-1, 3.3333331174e-1),
+    )
+)  # fmt: skip
+_LN_F64 = (
+    1.479819860511658591e-01, 1.531383769920937332e-01, 1.818357216161805012e-01,
+    2.222219843214978396e-01, 2.857142874366239149e-01, 3.999999999940941908e-01,
+    6.666666666666735130e-01,
+)  # fmt: skip
+_EXP = (
+    1.6059043836821613e-10, 2.08767569878681e-09, 2.505210838544172e-08, 2.755731922398589e-07,
+    2.7557319223985893e-06, 2.48015873015873e-05, 0.0001984126984126984, 0.001388888888888889,
+    0.008333333333333333, 0.041666666666666664, 0.16666666666666666, 0.5, 1.0, 1.0,
+)  # fmt: skip
+_SIN = (
+    1.6059043836821613e-10, -2.505210838544172e-08, 2.7557319223985893e-06,
+    -0.0001984126984126984, 0.008333333333333333, -0.16666666666666666,
+)  # fmt: skip
+_COS = (
+    -1.1470745597729725e-11, 2.08767569878681e-09, -2.755731922398589e-07, 2.48015873015873e-05,
+    -0.001388888888888889, 0.041666666666666664, -0.5, 1.0,
+)  # fmt: skip
+_SIN_F32, _COS_F32 = tuple(map(F32, _SIN[1:])), tuple(map(F32, _COS[2:]))
 
-_Float = TypeVar("_Float", float, np.float32)
 
-if TYPE_CHECKING:
+@intrinsic
+def fma(typing_context: Any, a: Any, b: Any, c: Any) -> Any:
+    """Return a b + c with one rounding, for three floats of one type."""
+    if not (a == b == c and isinstance(a, types.Float)):
+        return None
 
-    def fma(a: _Float, b: _Float, c: _Float) -> _Float:
-        """Return a b + c with one rounding, for three floats of one type."""
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.fma(*arguments)
 
-else:
+    return a(a, a, a), generate
 
-    @intrinsic
-    def fma(typing_context, a, b, c):
-        """Return a b + c with one rounding, for three floats of one type."""
-        if not (a == b == c and isinstance(a, types.Float)):
-            return None
 
-        def generate(context, builder, signature, arguments):
-            return builder.fma(*arguments)
+@intrinsic
+def polynomial(typing_context: Any, x: Any, coefficients: Any) -> Any:
+    """Return a polynomial by Horner's scheme in fused multiply-adds, all floats of one type."""
 
-        return a(a, a, a), generate
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        total = builder.extract_value(arguments[1], 0)
+        for place in range(1, coefficients.count):
+            term = builder.extract_value(arguments[1], place)
+            total = builder.fma(total, arguments[0], term)
+        return total
+
+    return x(x, coefficients), generate
 
 
 @njit(inline="always")
@@ -55,16 +89,7 @@ def ln_f32(x: np.float32) -> np.float32:
     exponent = F32(bits >> np.int32(23))
     f = np.int32((bits & _MANTISSA_32) + _SQRT_HALF_32).view(np.float32) - F32(1.0)
     z = f * f
-    y = F32(7.0376836292e-2)
-    y = fma(y, f, F32(-1.1514610310e-1))
-    y = fma(y, f, F32(1.1676998740e-1))
-    y = fma(y, f, F32(-1.2420140846e-1))
-    y = fma(y, f, F32(1.4249322787e-1))
-    y = fma(y, f, F32(-1.6668057665e-1))
-    y = fma(y, f, F32(2.0000714765e-1))
-    y = fma(y, f, F32(-2.4999993993e-1))
-    y = fma(y, f, F32(3.3333331174e-1))
-    y = y * f * z
+    y = polynomial(f, _LN_F32) * f * z
     y = fma(F32(-2.12194440e-4), exponent, y)
     y = fma(F32(-0.5), z, y)
     return fma(F32(0.693359375), exponent, f + y)
@@ -101,16 +126,8 @@ def _ln_parts_f64(x: float) -> tuple[float, float]:
     f = np.int64((bits & _MANTISSA_64) + _SQRT_HALF_64).view(np.float64) - 1.0
     s = f / (2.0 + f)
     z = s * s
-    r = 1.479819860511658591e-01
-    r = fma(r, z, 1.531383769920937332e-01)
-    r = fma(r, z, 1.818357216161805012e-01)
-    r = fma(r, z, 2.222219843214978396e-01)
-    r = fma(r, z, 2.857142874366239149e-01)
-    r = fma(r, z, 3.999999999940941908e-01)
-    r = fma(r, z, 6.666666666666735130e-01)
-    r = r * z
     half_square = 0.5 * f * f
-    return exponent, f - fma(-s, half_square + r, half_square)
+    return exponent, f - fma(-s, half_square + polynomial(z, _LN_F64) * z, half_square)
 
 
 @njit(inline="always")
@@ -146,21 +163,8 @@ def exp_f64(x: float) -> float:
     """
     n = np.floor(x * _LOG2_E + 0.5)
     r = fma(-n, _LN2_LOW, fma(-n, _LN2_HIGH, x))
-    p = 1.6059043836821613e-10
-    p = fma(p, r, 2.08767569878681e-09)
-    p = fma(p, r, 2.505210838544172e-08)
-    p = fma(p, r, 2.755731922398589e-07)
-    p = fma(p, r, 2.7557319223985893e-06)
-    p = fma(p, r, 2.48015873015873e-05)
-    p = fma(p, r, 0.0001984126984126984)
-    p = fma(p, r, 0.001388888888888889)
-    p = fma(p, r, 0.008333333333333333)
-    p = fma(p, r, 0.041666666666666664)
-    p = fma(p, r, 0.16666666666666666)
-    p = fma(p, r, 0.5)
-    p = fma(p, r, 1.0)
-    p = fma(p, r, 1.0)
-    return float(p * np.int64((np.int64(n) + np.int64(1023)) << np.int64(52)).view(np.float64))
+    two_to_n = np.int64((np.int64(n) + np.int64(1023)) << np.int64(52)).view(np.float64)
+    return float(polynomial(r, _EXP) * two_to_n)
 
 
 @njit(inline="always")
@@ -178,28 +182,14 @@ def sin_half(x: float) -> float:
     """sin(x / 2) for |x| <= pi; error below 1e-9 (Taylor series to the 13th power)."""
     h = 0.5 * x
     z = h * h
-    p = 1.6059043836821613e-10
-    p = fma(p, z, -2.505210838544172e-08)
-    p = fma(p, z, 2.7557319223985893e-06)
-    p = fma(p, z, -0.0001984126984126984)
-    p = fma(p, z, 0.008333333333333333)
-    p = fma(p, z, -0.16666666666666666)
-    return fma(h * z, p, h)
+    return fma(h * z, polynomial(z, _SIN), h)
 
 
 @njit(inline="always")
 def cos_half(x: float) -> float:
     """cos(x / 2) for |x| <= pi; error below 1e-9 (Taylor series to the 14th power)."""
     h = 0.5 * x
-    z = h * h
-    p = -1.1470745597729725e-11
-    p = fma(p, z, 2.08767569878681e-09)
-    p = fma(p, z, -2.755731922398589e-07)
-    p = fma(p, z, 2.48015873015873e-05)
-    p = fma(p, z, -0.001388888888888889)
-    p = fma(p, z, 0.041666666666666664)
-    p = fma(p, z, -0.5)
-    return fma(z, p, 1.0)
+    return polynomial(h * h, _COS)
 
 
 @njit(inline="always")
@@ -207,16 +197,12 @@ def sincos_turn_f32(turn: np.float32) -> tuple[np.float32, np.float32]:
     """-sin(2 pi x) and -cos(2 pi x) of a float32 in (0, 1); error below 2e-6 (Taylor)."""
     h = F32(np.pi) * turn - F32(0.5 * np.pi)
     z = h * h
-    p = F32(-2.505210838544172e-08)
-    p = fma(p, z, F32(2.7557319223985893e-06))
-    p = fma(p, z, F32(-0.0001984126984126984))
-    p = fma(p, z, F32(0.008333333333333333))
-    p = fma(p, z, F32(-0.16666666666666666))
-    sine = fma(h * z, p, h)
-    p = F32(-2.755731922398589e-07)
-    p = fma(p, z, F32(2.48015873015873e-05))
-    p = fma(p, z, F32(-0.001388888888888889))
-    p = fma(p, z, F32(0.041666666666666664))
-    p = fma(p, z, F32(-0.5))
-    cosine = fma(z, p, F32(1.0))
+    sine, cosine = fma(h * z, polynomial(z, _SIN_F32), h), polynomial(z, _COS_F32)
     return F32(2.0) * sine * cosine, F32(1.0) - F32(2.0) * sine * sine
+
+
+@njit(inline="always")
+def copy(values: NDArray[Any], out: NDArray[Any]) -> None:
+    """Fill `out` (n,) with the first of the values."""
+    for i in range(out.shape[0]):
+        out[i] = values[i]

@@ -30,21 +30,11 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Note:
-    """What a key means: ``Annotated[Positive, Note("m", "paper", "radius of the cell")]``.
+    """What a key means: ``Annotated[Positive, Note("m", "paper", "radius of the cell")]``."""
 
-    Attributes
-    ----------
-    unit
-        Such as ``m``, or ``1``.
-    origin
-        ``paper`` or ``assumed``.
-    meaning
-        Half a sentence.
-    """
-
-    unit: str
-    origin: str
-    meaning: str
+    unit: str  # such as "m", or "1"
+    origin: str  # "paper" or "assumed"
+    meaning: str  # half a sentence
 
 
 @cache
@@ -57,12 +47,8 @@ def _adapter(kind: Any) -> TypeAdapter[Any]:
 def read_strictly(kind: type[T], values: Mapping[str, Any]) -> T:
     """Make a dataclass of plain values, as they come from YAML: lists become tuples.
 
-    A dataclass without a configuration of its own is read as strictly as a section.
-
-    Raises
-    ------
-    pydantic.ValidationError
-        On an unknown or missing key, a wrong type, or a value out of range.
+    A dataclass without a configuration of its own is read as strictly as a section. An unknown or
+    missing key, a wrong type, or a value out of range raises pydantic.ValidationError.
     """
     hashable: Any = kind
     result: T = _adapter(hashable).validate_json(json.dumps(values), strict=True)

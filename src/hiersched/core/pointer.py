@@ -113,15 +113,10 @@ def _load_field(context: Any, builder: Any, pointer: PointerType, value: Any, na
 
 
 class Pointer:
-    """The words of a NamedTuple; keeps its arrays alive.
+    """The words of a NamedTuple of numbers, NumPy arrays and such NamedTuples; keeps it alive.
 
-    Parameters
-    ----------
-    value
-        A NamedTuple of numbers, NumPy arrays and such NamedTuples. Its arrays are shared, its
-        numbers copied: a kernel sees what is written into an array, not a number that changes.
-    sources
-        See `PointerType`.
+    Its arrays are shared, its numbers copied: a kernel sees what is written into an array, not a
+    number that changes. `sources`: see `PointerType`.
     """
 
     __slots__ = ("address", "kind", "value", "words")

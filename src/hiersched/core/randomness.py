@@ -34,16 +34,9 @@ _VECTOR = 16
 
 
 def world_key(purpose: str, seed: int, index: int = 0) -> int:
-    """64-bit key of a world: worlds of different purposes, seeds or indices are independent.
+    """64-bit key of a world; those of other purposes, seeds or indices are independent.
 
-    Parameters
-    ----------
-    purpose
-        What the world is for, such as ``"train"`` or ``"evaluate"``.
-    seed
-        Seed of the run.
-    index
-        Environment within the run.
+    `purpose` is what it is for (``"train"``, ``"evaluate"``), `index` the environment in a run.
     """
     digest = hashlib.blake2b(f"{purpose}/{seed}/{index}".encode(), digest_size=8).digest()
     return int.from_bytes(digest, "little")
@@ -114,6 +107,22 @@ def draw_stream_normals(
         out[i] = np.sqrt(F32(-2.0) * ln_f32(unit_f32(a))) * cosine
 
 
+@njit(inline="always")
+def _draw_words(key: np.uint64, stream: np.uint32, slot: int, words: NDArray[np.uint32]) -> None:
+    """Fill `words` (4, B) with B blocks of (world, stream, slot), each four words below another.
+
+    One array for all lanes: the compiler sees that they do not overlap.
+    """
+    k0 = uint32(key)
+    k1 = uint32(key >> _S32)
+    for i in range(words.shape[1]):
+        a, b, c, d = philox4x32(uint32(i), uint32(0), uint32(slot), stream, k0, k1)
+        words[0, i] = a
+        words[1, i] = b
+        words[2, i] = c
+        words[3, i] = d
+
+
 @kernel()
 def draw_exponentials(
     key: np.uint64,
@@ -125,18 +134,9 @@ def draw_exponentials(
     """Fill `out` (N,) with scale-times-unit exponentials of the fading stream.
 
     One Philox block serves four elements: word `lane` of block `i` belongs to element lane*B + i,
-    with B = ceil(N/4) blocks. `words` (4, B) is scratch: one array, so that the compiler sees that
-    the lanes do not overlap.
+    with B = ceil(N/4) blocks. `words` (4, B) is scratch.
     """
-    k0 = uint32(key)
-    k1 = uint32(key >> _S32)
-    blocks = words.shape[1]
-    for i in range(blocks):
-        a, b, c, d = philox4x32(uint32(i), uint32(0), uint32(slot), STREAM_FADING, k0, k1)
-        words[0, i] = a
-        words[1, i] = b
-        words[2, i] = c
-        words[3, i] = d
+    _draw_words(key, STREAM_FADING, slot, words)
     flat = words.reshape(-1)
     for i in range(out.shape[0]):
         out[i] = -ln_f32(unit_f32(flat[i])) * scale
@@ -148,16 +148,21 @@ class NormalScratch(NamedTuple):
     words: NDArray[np.uint32]
     flat: NDArray[np.uint32]
     normals: NDArray[np.float32]
+    place: NDArray[np.int64]  # (R W,) of each normal in `normals`
 
 
-def normal_scratch(num_robots: int) -> NormalScratch:
-    """Work arrays for the normals of `num_robots` robots."""
-    blocks = -(-6 * num_robots // 4)
-    half = -(-3 * num_robots // _VECTOR) * _VECTOR
+def normal_scratch(num_robots: int, num_normals: int) -> NormalScratch:
+    """Work arrays for `num_normals` normals of each of `num_robots` robots."""
+    count = num_robots * num_normals
+    rows = -(-count // 5)
+    blocks = -(-6 * rows // 4)
+    half = -(-3 * rows // _VECTOR) * _VECTOR
+    row, j = np.divmod(np.arange(count), 5)
     return NormalScratch(
         words=np.zeros((4, -(-blocks // _VECTOR) * _VECTOR), np.uint32),
         flat=np.zeros(4 * blocks + half, np.uint32),
         normals=np.zeros((3, half), np.float32),
+        place=(1 + j // 3) * half + j % 3 * rows + row,
     )
 
 
@@ -165,59 +170,26 @@ def normal_scratch(num_robots: int) -> NormalScratch:
 def draw_normals(
     key: np.uint64, slot: int, scratch: NormalScratch, out: NDArray[np.float32]
 ) -> None:
-    """Fill `out` (R, 5) with standard normals of the robot stream (Box-Muller in float32).
+    """Fill `out` (R, W) with standard normals of the robot stream (Box-Muller in float32).
 
-    Normal j of robot r is element j*R + r of 6 R normals; elements i and 3 R + i come from words i
-    and 3 R + i, word `lane` of block b being number lane*B + b of B = ceil(6 R / 4) blocks. The
-    loops are short, so that each becomes vector instructions, and run over whole vectors: what lies
-    beyond is not used.
+    They lie in N = ceil(R W / 5) rows of five: normal j of row r is element j*N + r of 6 N normals;
+    elements i and 3 N + i come from words i and 3 N + i, word `lane` of block b being number
+    lane*B + b of B = ceil(6 N / 4) blocks. The loops are short, so that each becomes vector
+    instructions, and run over whole vectors: what lies beyond is not used.
     """
-    k0 = uint32(key)
-    k1 = uint32(key >> _S32)
-    num_robots = out.shape[0]
-    words = scratch.words
-    flat = scratch.flat
-    normals = scratch.normals
-    for i in range(words.shape[1]):
-        a, b, c, d = philox4x32(uint32(i), uint32(0), uint32(slot), STREAM_ROBOT, k0, k1)
-        words[0, i] = a
-        words[1, i] = b
-        words[2, i] = c
-        words[3, i] = d
-    blocks = (6 * num_robots + 3) // 4
+    words, flat, normals, values = scratch.words, scratch.flat, scratch.normals, out.reshape(-1)
+    _draw_words(key, STREAM_ROBOT, slot, words)
+    rows = (values.shape[0] + 4) // 5
+    blocks = (6 * rows + 3) // 4
     for lane in range(4):
         for i in range(blocks):
             flat[lane * blocks + i] = words[lane, i]
-    half = 3 * num_robots
     for i in range(normals.shape[1]):
         normals[0, i] = np.sqrt(F32(-2.0) * ln_f32(unit_f32(flat[i])))
     for i in range(normals.shape[1]):
-        sine, cosine = sincos_turn_f32(unit_f32(flat[half + i]))
+        sine, cosine = sincos_turn_f32(unit_f32(flat[3 * rows + i]))
         normals[1, i] = normals[0, i] * cosine
         normals[2, i] = normals[0, i] * sine
-    for robot in range(num_robots):
-        for j in range(5):
-            out[robot, j] = normals[1 + j // 3, j % 3 * num_robots + robot]
-
-
-def normal_rows(num_robots: int, num_normals: int) -> int:
-    """Rows of `draw_normals` that hold `num_normals` normals for each robot."""
-    return -(-num_robots * num_normals // 5)
-
-
-@kernel()
-def draw_robot_normals(
-    key: np.uint64,
-    slot: int,
-    scratch: NormalScratch,
-    rows: NDArray[np.float32],
-    out: NDArray[np.float32],
-) -> None:
-    """Fill `out` (R, W) with standard normals of the robot stream, W of any size.
-
-    `rows` (`normal_rows(R, W)`, 5) is scratch, and `scratch` is for as many robots.
-    """
-    draw_normals(key, slot, scratch, rows)
-    flat, normals = rows.reshape(-1), out.reshape(-1)
-    for i in range(normals.shape[0]):
-        normals[i] = flat[i]
+    drawn = normals.reshape(-1)
+    for i in range(values.shape[0]):
+        values[i] = drawn[scratch.place[i]]

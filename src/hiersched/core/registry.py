@@ -38,12 +38,8 @@ _REGISTRIES: WeakSet[Registry[Any]] = WeakSet()
 class Registry(Generic[T]):
     """Things of one kind by name.
 
-    Parameters
-    ----------
-    kind
-        What they are, for messages, such as ``"path loss"``.
-    part
-        ``"study"`` for what shows results: no run depends on it.
+    `kind` says in messages what they are; `part` is ``"study"`` for what shows results, on which no
+    run depends.
     """
 
     def __init__(self, kind: str, part: str = "") -> None:
@@ -55,12 +51,8 @@ class Registry(Generic[T]):
     def add(self, name: str, thing: T | str, source: Any = None) -> None:
         """Register a thing, or where to import it from when it is first asked for (``a.b:c``).
 
-        What it was made of, if that is something else, is its `source`.
-
-        Raises
-        ------
-        PluginError
-            If the name is taken by something else.
+        What it was made of, if that is something else, is its `source`. A name that is taken by
+        something else raises PluginError.
         """
         origin = _origin(thing if source is None else source)
         old = self._origins.get(name, origin)
@@ -78,13 +70,7 @@ class Registry(Generic[T]):
         return decorate
 
     def __getitem__(self, name: str) -> T:
-        """Return the thing of a name.
-
-        Raises
-        ------
-        UnknownNameError
-            If there is none.
-        """
+        """Return the thing of a name; UnknownNameError, which lists the names, if there is none."""
         load_installed_plugins()
         if name not in self._found:
             raise UnknownNameError(f"{self.kind} {name!r}: {self.allowed()}")
@@ -119,12 +105,6 @@ class Registry(Generic[T]):
         """Return the file that registered a thing."""
         return self._origins[name].rpartition(":")[0]
 
-    def forget(self, file: str) -> None:
-        """Remove what a file has registered, before it is run once more."""
-        for name, origin in list(self._origins.items()):
-            if origin.startswith(f"{file}:"):
-                del self._found[name], self._origins[name]
-
 
 def registered_files(part: str) -> set[str]:
     """Return the files that have registered something in a part of the registries."""
@@ -147,6 +127,11 @@ def _origin(thing: Any) -> str:
 
 
 @cache
+def _installed() -> tuple[EntryPoint, ...]:
+    return tuple(entry_points(group=ENTRY_POINTS))
+
+
+@cache
 def _import_entry_point(point: EntryPoint) -> ModuleType:
     try:
         found = point.load()
@@ -157,21 +142,13 @@ def _import_entry_point(point: EntryPoint) -> ModuleType:
     return found if isinstance(found, ModuleType) else sys.modules[found.__module__]
 
 
-@cache
-def _installed() -> tuple[EntryPoint, ...]:
-    return tuple(entry_points(group=ENTRY_POINTS))
-
-
 _LOADING: list[str] = []
 
 
 def load_installed_plugins() -> dict[str, ModuleType]:
     """Import the modules that installed packages name; returns them by the name of the entry point.
 
-    Raises
-    ------
-    PluginError
-        If one of them cannot be imported.
+    One that cannot be imported raises PluginError.
     """
     if _LOADING:  # one of them asks a registry while it is imported
         return {}
@@ -189,12 +166,8 @@ def load_plugin(file: Path) -> ModuleType:
     """Import a plug-in file; one that is loaded already and has not changed is not run again.
 
     Its folder is on `sys.path` from then on, so that it can import its neighbours. What an older
-    version of the file has registered is forgotten.
-
-    Raises
-    ------
-    PluginError
-        If there is no such file, it raises, or its name is that of another module.
+    version of the file has registered is forgotten. PluginError if there is no such file, it
+    raises, or its name is that of another module.
     """
     path = file.resolve()
     if not path.is_file() or path.suffix != ".py":
@@ -209,6 +182,11 @@ def load_plugin(file: Path) -> ModuleType:
     if folder not in sys.path:
         sys.path.append(folder)
     return _run(file, path, sha256)
+
+
+def is_plugin_file(module: ModuleType) -> bool:
+    """Whether a module is a file that a scenario has named under `plugins`."""
+    return hasattr(module, "__plugin_sha256__")
 
 
 def _file_of(module: ModuleType | None) -> Path | None:
@@ -253,8 +231,11 @@ def _run(file: Path, path: Path, sha256: str) -> ModuleType:
 
 
 def _forget(path: Path) -> None:
+    """Remove what a file has registered."""
     for registry in _REGISTRIES:
-        registry.forget(str(path))
+        for name, origin in list(registry._origins.items()):
+            if origin.startswith(f"{path}:"):
+                del registry._found[name], registry._origins[name]
 
 
 ALGORITHMS: Registry[Any] = Registry("learning.algorithm")
@@ -262,5 +243,5 @@ ALGORITHMS: Registry[Any] = Registry("learning.algorithm")
 
 A class may have an attribute `Parameters`, a dataclass: what `learning.parameters` has to be."""
 BUILT_IN_ALGORITHMS = ("ddpg", "a2c")
-ALGORITHMS.add("ddpg", "hiersched.learning.off_policy:Ddpg")
+ALGORITHMS.add("ddpg", "hiersched.learning.ddpg:Ddpg")
 ALGORITHMS.add("a2c", "hiersched.learning.a2c:A2c")

@@ -51,28 +51,20 @@ UNUSED = Plug(0, 0)
 
 
 class Seam:
-    """A place of the slot loop that a model fills.
+    """A place of the slot loop that a model fills; `name` is for messages.
 
-    Parameters
-    ----------
-    name
-        For messages.
-    reads, writes
-        What a kernel here finds, and what it has to write; for the documentation.
+    `reads` and `writes` tell the reader what a kernel here finds, and what it has to write.
     """
 
     def __init__(self, name: str, *, reads: str, writes: str) -> None:
-        self.name, self.reads, self.writes = name, reads, writes
+        self.name = name
         self._kernels: dict[type, Any] = {}
         self._sources: dict[type, str] = {}
 
     def kernel(self, words: type) -> Callable[[Callable[..., Any]], Any]:
         """Register the decorated function as the kernel of a NamedTuple class.
 
-        Raises
-        ------
-        TypeError
-            If the function does not have the form of a kernel.
+        TypeError if it does not have the form of a kernel, or another file has a kernel for them.
         """
 
         def register(function: Callable[..., Any]) -> Any:
@@ -96,26 +88,13 @@ class Seam:
 
         return register
 
-    def fits(self, words: Any) -> bool:
-        """Whether there is a kernel for this NamedTuple."""
-        return type(words) in self._kernels
-
     def plug(self, words: Any, *arguments: Pointer) -> tuple[Plug, Pointer]:
-        """Compile the kernel of a model, or load it; the pointer has to be kept.
+        """Compile the kernel of a model, a NamedTuple, or load it; the pointer has to be kept.
 
-        Parameters
-        ----------
-        words
-            The NamedTuple of the model.
-        arguments
-            Pointers to constants, state and slot.
-
-        Raises
-        ------
-        KernelError
-            If the seam has no kernel for this NamedTuple, or it does not compile.
+        `arguments` are pointers to constants, state and slot. KernelError if the seam has no kernel
+        for this NamedTuple, or it does not compile.
         """
-        if not self.fits(words):
+        if type(words) not in self._kernels:
             known = ", ".join(dict.fromkeys(kind.__name__ for kind in self._kernels)) or "none"
             raise KernelError(
                 f"{_file_of(type(words))}: {type(words).__name__} has no kernel for the seam "
@@ -127,7 +106,7 @@ class Seam:
         me = Pointer(words, self._sources[type(words)])
         kinds = (me.kind, *(argument.kind for argument in arguments), types.int64)
         try:
-            address = address_of(function, kinds)
+            address = _address_of(function, kinds)
         except (NumbaError, NotImplementedError, KernelError) as error:
             python = getattr(function, "py_func", function)
             raise KernelError(
@@ -140,43 +119,30 @@ class Seam:
 @njit(inline="always")
 def call_plug(plug: Any, constants: Any, state: Any, slot: Any, env: int) -> None:
     """Call the kernel in a plug."""
-    call_at(plug.kernel, plug.words, constants, state, slot, np.int64(env))
+    _call_at(plug.kernel, plug.words, constants, state, slot, np.int64(env))
 
 
 @intrinsic
-def call_at(typing_context: Any, address: Any, *arguments: Any) -> Any:
-    """Call the kernel at an address that was compiled for just these types."""
-    inner = tuple(types.unliteral(argument) for argument in arguments)
+def _call_at(
+    typing_context: Any, kernel: Any, words: Any, constants: Any, state: Any, slot: Any, env: Any
+) -> Any:
+    """Call the kernel at an address; an error in it is an error of the caller."""
+    kinds = (words, constants, state, slot, env)
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
-        given = signature.args[1]  # *arguments come as one tuple
-        parts = [
-            context.cast(builder, builder.extract_value(values[1], i), given.types[i], kind)
-            for i, kind in enumerate(inner)
-        ]
-        _call(context, builder, values[0], inner, parts)
+        convention = context.call_conv
+        kind = convention.get_function_type(types.none, kinds)
+        pointer = builder.inttoptr(values[0], kind.as_pointer())
+        status, _ = convention.call_function(builder, pointer, types.none, kinds, values[1:])
+        with builder.if_then(status.is_error, likely=False):
+            convention.return_status_propagate(builder, status)
         return context.get_dummy_value()
 
-    return types.none(address, types.Tuple(arguments)), generate
+    return types.none(kernel, *kinds), generate
 
 
-def _call(context: Any, builder: Any, address: Any, inner: Any, values: Any) -> None:
-    """Call a function of Numba's convention; an error in it is an error of the caller."""
-    kind = context.call_conv.get_function_type(types.none, inner)
-    pointer = builder.inttoptr(address, kind.as_pointer())
-    status, _ = context.call_conv.call_function(builder, pointer, types.none, inner, values)
-    with builder.if_then(status.is_error, likely=False):
-        context.call_conv.return_status_propagate(builder, status)
-
-
-def address_of(function: Any, kinds: tuple[types.Type, ...]) -> int:
-    """Compile a kernel for argument types, or load it, and say where it lies.
-
-    Raises
-    ------
-    KernelError
-        If it returns something: it is called as a function that does not.
-    """
+def _address_of(function: Any, kinds: tuple[types.Type, ...]) -> int:
+    """Compile a kernel for argument types, or load it, and say where it lies."""
     function.compile(kinds)
     result = function.overloads[kinds]
     if result.signature.return_type != types.none:
@@ -215,13 +181,11 @@ def _reason(error: Exception) -> str:
 _PREAMBLE = ("Failed in", "During:", "File ", "Internal error")
 """Lines of Numba's messages that say where it was at work."""
 
-
+_ARRAYS = "a kernel cannot make arrays: work arrays belong to its words"
 _HINTS = {
     "No definition for lowering": "a kernel cannot change a number: keep what evolves in an array",
-    "No implementation of function Function(<built-in function zeros>": "a kernel cannot make "
-    "arrays: work arrays belong to its words",
-    "No implementation of function Function(<built-in function empty>": "a kernel cannot make "
-    "arrays: work arrays belong to its words",
+    "No implementation of function Function(<built-in function zeros>": _ARRAYS,
+    "No implementation of function Function(<built-in function empty>": _ARRAYS,
 }
 
 
@@ -245,14 +209,11 @@ def _outside_sources(function: Callable[..., Any]) -> str:
     Numba looks at the file of a kernel alone: what the kernel calls from another file of a plug-in
     has to be part of its type, so that a change there compiles it anew.
     """
-    module = sys.modules[function.__module__]
-    files = sorted(outside_files(module))
-    if not files:
-        return ""
+    files = sorted(outside_files(sys.modules[function.__module__]))
     digest = hashlib.sha256()
     for file in files:
         digest.update(Path(file).read_bytes())
-    return digest.hexdigest()[:16]
+    return digest.hexdigest()[:16] if files else ""
 
 
 def outside_files(module: ModuleType) -> set[str]:
@@ -260,8 +221,8 @@ def outside_files(module: ModuleType) -> set[str]:
     found: set[str] = set()
     waiting = [module]
     while waiting:
-        file = getattr(waiting[-1], "__file__", None)
         used = waiting.pop()
+        file = getattr(used, "__file__", None)
         if file is None or file in found or not _is_outside(Path(file).resolve()):
             continue
         found.add(file)
@@ -280,11 +241,10 @@ def _imports(module: ModuleType, file: Path) -> Iterator[str]:
             for alias in node.names:
                 yield from _with_parents(alias.name)
         elif isinstance(node, ast.ImportFrom):
-            name = node.module or ""
             if node.level and not module.__package__:
                 continue  # it would raise
-            if node.level:
-                name = importlib.util.resolve_name("." * node.level + name, module.__package__)
+            relative = "." * node.level + (node.module or "")
+            name = importlib.util.resolve_name(relative, module.__package__)
             yield from _with_parents(name)
             yield from (f"{name}.{alias.name}" for alias in node.names)
 

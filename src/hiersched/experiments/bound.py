@@ -13,15 +13,14 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from hiersched.allocation.exact import exact_allocation, lagrangian, owned_rates
-from hiersched.allocation.objective import UserTerms
+from hiersched.allocation.objective import UserTerms, slot_terms
 from hiersched.experiments import files
 from hiersched.experiments.gains import load_gains
+from hiersched.experiments.logged import read_slots
 from hiersched.experiments.points import experiments
 from hiersched.experiments.worlds import seed_worlds
 from hiersched.log import LogError
-from hiersched.policies.exact import slot_terms
 from hiersched.policies.index_rules import CLASSICAL
-from hiersched.runs.logged import read_slots
 from hiersched.scenario import Scenario
 from hiersched.simulator import Simulator
 
@@ -132,6 +131,7 @@ def read_moments(path: Path, world: Simulator, count: int) -> Iterator[Moment]:
             fields["backlog_packets"][slot],
             fields["dexterity_index"][slot],
             fields["multiplier"][slot],
+            np.zeros((2, len(rate))),
         )
         yield Moment(slot, rate, terms, owner)
 

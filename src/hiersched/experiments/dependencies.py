@@ -20,7 +20,7 @@ from hiersched.experiments.fingerprint import code_fingerprint
 from hiersched.experiments.gains import designs
 from hiersched.experiments.points import Experiment, experiments, groups, learner_scenario
 from hiersched.models.model import SECTIONS
-from hiersched.policies.imported import ImportedPolicy
+from hiersched.policies.find import ImportedPolicy
 from hiersched.scenario import Scenario, scenario_to_dict
 from hiersched.scenario.plugins import plugin_modules
 from hiersched.scenario.schema import model_at
@@ -113,15 +113,24 @@ def _outside_hash(module: ModuleType) -> dict[str, str]:
 
 def sources_sha256(module: ModuleType) -> str:
     """Hash the files of a module and of what it imports, but for installed packages."""
+    return _sha256_of({*outside_files(module), str(module.__file__)})
+
+
+def _sha256_of(files: set[str]) -> str:
     digest = hashlib.sha256()
-    for file in sorted({*outside_files(module), str(module.__file__)}):
+    for file in sorted(files):
         digest.update(hashlib.sha256(Path(file).read_bytes()).digest())
     return digest.hexdigest()
 
 
-def outside_sources(thing: Shown) -> dict[str, str]:
-    """Return the hash of the sources of a registered thing, where it is a plug-in's."""
-    return _outside_hash(sys.modules[thing.module])
+def neighbours_sha256(thing: Shown) -> str:
+    """Hash what a registered thing of a plug-in imports from beside its own file.
+
+    What of its own file it depends on, `code_fingerprint` says.
+    """
+    module = sys.modules[thing.module]
+    own = module.__name__.partition(".")[0] == __name__.partition(".")[0]
+    return _sha256_of(set() if own else {*outside_files(module)} - {str(thing.file)})
 
 
 def stage_spec(stage: str, values: Any, script: Path, *, only: str = "") -> str:

@@ -6,15 +6,21 @@ from hiersched.experiments.points import Experiment, Point, groups, is_crossed
 from hiersched.scenario import Scenario
 
 SCENARIO = "scenario.yaml"
+"""The scenario with every value in place."""
 CHECKPOINTS = "checkpoints"
+"""Where trainings that have been interrupted go on; empty when they are through."""
 STABILITY = "gains/stability.json"
+"""Longest delays of the loops of the gain study."""
 RUNS = "runs"
+"""Runs of every experiment."""
 BOUND = "bound/slots.csv"
+"""Exact optima of sampled slots, beside the decisions there."""
 CLAIMS = ("claims.json", "claims.md")
+"""Verdicts on the paper's claims, to compute with and to read."""
 
 
 def gain_file(design: str) -> str:
-    """Gain schedule by its name among `designs`."""
+    """Gains for every delay, with their certificates, by their name among `designs`."""
     return f"gains/{design}.json"
 
 
@@ -24,7 +30,7 @@ def progress_file(learner: str) -> str:
 
 
 def policy_files(scenario: Scenario, learner: str) -> list[str]:
-    """List the weights of all training seeds of a learner."""
+    """Weights of all training seeds of a learner."""
     return [f"train/{learner}/policy_seed{seed}.pt" for seed in scenario.learned[learner].seeds]
 
 
@@ -89,8 +95,3 @@ def group_files(scenario: Scenario, experiment: Experiment, group: str) -> list[
             if is_crossed(scenario, policy)
         ),
     ]
-
-
-def measure_files(group: str) -> list[str]:
-    """List the tables of measures of a group of policies, or of a learner's training."""
-    return [f"measures/{group}.parquet"]

@@ -13,7 +13,7 @@ from hiersched.control.gain_schedule import design_key
 from hiersched.experiments.points import Experiment, experiments, value_text
 from hiersched.scenario import Scenario
 from hiersched.simulator.gain_source import design_values
-from hiersched.simulator.loop_gains import LoopGains, loop_gains, plant_of
+from hiersched.simulator.loop_gains import Gains, loop_gains, plant_of
 
 
 @lru_cache(maxsize=8)
@@ -79,7 +79,7 @@ def design_gains(scenario: Scenario, design: str, path: Path) -> GainSchedule:
     )
 
 
-def load_gains(path: Path, scenario: Scenario) -> tuple[GainSchedule, LoopGains]:
+def load_gains(path: Path, scenario: Scenario) -> tuple[GainSchedule, Gains]:
     """Read the schedule of a scenario and form the gains of its loop.
 
     Raises

@@ -12,6 +12,8 @@ import pandas as pd
 from hiersched.core.files import write_parquet
 from hiersched.experiments import files
 from hiersched.experiments.gains import design_of, load_gains
+from hiersched.experiments.logged import RunSlots
+from hiersched.experiments.logging import RunLabel, write_log
 from hiersched.experiments.points import (
     GAIN_GROUP,
     Experiment,
@@ -22,8 +24,6 @@ from hiersched.experiments.points import (
     is_crossed,
 )
 from hiersched.experiments.worlds import PolicySource, WorldRun, run_worlds, seed_worlds
-from hiersched.runs.logged import RunSlots
-from hiersched.runs.logging import RunLabel, write_log
 from hiersched.scenario import Scenario
 from hiersched.simulator import Gains, Simulator
 

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from hiersched.control import GainSchedule
 from hiersched.experiments import files
 from hiersched.experiments.gains import load_gains
+from hiersched.experiments.logging import RunLabel, log_block, open_log
 from hiersched.experiments.points import learner_scenario
 from hiersched.learning.checkpoint import load_checkpoint
 from hiersched.learning.trainer import train
 from hiersched.log import LogReader, LogWriter
-from hiersched.runs.logging import RunLabel, log_block, open_log
 from hiersched.scenario import Scenario, scenario_sha256
 from hiersched.scenario.schema import checkpoint_rounds
 

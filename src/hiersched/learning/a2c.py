@@ -16,10 +16,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import smooth_l1_loss
 
-from hiersched.learning.algorithm import Losses, Outcome, exploration_spread, seeded_normals
-from hiersched.learning.networks import initial_stack, learner_network
+from hiersched.learning.algorithm import ActorCritic, Losses, Outcome, seeded_normals
 from hiersched.learning.rewards import observe_multipliers, priced_rewards
-from hiersched.learning.stack import StackedAdam
 from hiersched.scenario.schema import Scenario
 
 _LEAST_SPREAD = 1e-6
@@ -29,14 +27,8 @@ _LEAST_SPREAD = 1e-6
 def advantages(rewards: Tensor, values: Tensor, discount: float, decay: float) -> Tensor:
     """Generalised advantages, A_t = r_t + g V_{t+1} - V_t + g l A_{t+1}.
 
-    Parameters
-    ----------
-    rewards
-        Shape (seeds, 2, T, E, m).
-    values
-        Likewise with T + 1 slots: the last is that of the state after the rollout.
-    discount, decay
-        g and l.
+    Rewards have shape (seeds, 2, T, E, m), values T + 1 slots: the last is that of the state after
+    the rollout. g is the discount, l the decay.
     """
     errors = rewards + discount * values[:, :, 1:] - values[:, :, :-1]
     result = torch.empty_like(errors)
@@ -47,61 +39,37 @@ def advantages(rewards: Tensor, values: Tensor, discount: float, decay: float) -
     return result
 
 
-class A2c:
-    """An `Algorithm`: one update of all agents a rollout of a few slots in all environments.
-
-    Parameters
-    ----------
-    scenario
-        Section `learning` decides.
-    generators
-        Of each seed, for the noise.
-    """
+class A2c(ActorCritic):
+    """One update of all agents a rollout of a few slots in all environments."""
 
     def __init__(self, scenario: Scenario, generators: list[np.random.Generator]) -> None:
-        learning = scenario.learning
-        self._learning = learning
-        self._generators = generators
-        self.network = learner_network(learning, scenario.users)
-        self._critic_layers = self.network.critic(sees_counts=False)
-        self._shares = self.network.value_shares()
-        self.actor = initial_stack(self.network.actor, "actor", learning.seeds, zero_output=True)
-        self.critic = initial_stack(
-            self._critic_layers, "critic", learning.seeds, zero_output=False
-        )
-        clip = learning.gradient_clip
-        self.actor_adam = StackedAdam(self.actor, learning.actor_lr, clip)
-        self.critic_adam = StackedAdam(self.critic, learning.critic_lr, clip)
+        super().__init__(scenario, generators, sees_counts=False)
         self._features: list[NDArray[np.float32]] = []
         self._drawn: list[NDArray[np.float32]] = []
         self._outcomes: list[Outcome] = []
-        self._spread = np.float32(learning.exploration_std)
+        self._noise_spread = self._spread(0.0)
 
     def start_round(self, features: NDArray[np.float32]) -> None:
-        """Begin a round; every rollout has been learnt from by the end of the last one."""
+        """As in `Algorithm`; every rollout has been learnt from by the end of the last round."""
         self._features = [features]
 
     def act(self, features: NDArray[np.float32]) -> NDArray[np.float32]:
         """As in `Algorithm`."""
-        actions: NDArray[np.float32] = np.tanh(self._raw(features))
+        actions: NDArray[np.float32] = np.tanh(self._mean(features))
         return actions
 
-    def _raw(self, features: NDArray[np.float32]) -> NDArray[np.float32]:
+    def _mean(self, features: NDArray[np.float32]) -> NDArray[np.float32]:
         with torch.no_grad():
             inputs = self.network.inputs(torch.from_numpy(features))
-            outputs = self.network.actor.forward(self.actor, inputs)
-            raw: NDArray[np.float32] = self.network.raw_actions(outputs, len(features)).numpy()
-            return raw
+            mean: NDArray[np.float32] = self._raw_actions(self.actor, inputs).numpy()
+            return mean
 
     def explore(self, features: NDArray[np.float32], done: float) -> NDArray[np.float32]:
-        """Draw actions, shape (seeds, E, U); the spread changes between rollouts only."""
-        learning = self._learning
+        """As in `Algorithm`; the spread changes between rollouts only."""
         if not self._outcomes:
-            self._spread = exploration_spread(
-                learning.exploration_std, learning.exploration_final_std, done
-            )
-        mean = self._raw(features)
-        drawn = mean + self._spread * seeded_normals(self._generators, mean.shape[1:])
+            self._noise_spread = self._spread(done)
+        mean = self._mean(features)
+        drawn = mean + self._noise_spread * seeded_normals(self._generators, mean.shape[1:])
         self._drawn.append(drawn)
         actions: NDArray[np.float32] = np.tanh(drawn)
         return actions
@@ -109,7 +77,7 @@ class A2c:
     def learn(
         self, outcome: Outcome, multipliers: NDArray[np.float64], *, last: bool
     ) -> Losses | None:
-        """Take a slot in; update when the rollout is full or the episodes end."""
+        """As in `Algorithm`: update when the rollout is full or the episodes end."""
         self._outcomes.append(outcome)
         self._features.append(outcome.next_features)
         if len(self._outcomes) < self._learning.rollout_slots and not last:
@@ -121,7 +89,7 @@ class A2c:
 
     def _update(self, multipliers: NDArray[np.float64]) -> Losses:
         """One step of every critic and every actor on the rollout."""
-        num_seeds, num_slots = len(multipliers), len(self._outcomes)
+        learning, num_slots = self._learning, len(self._outcomes)
         features = observe_multipliers(_side_by_side(self._features), multipliers)
         inputs = self.network.inputs(features)
         reward = self.network.pool(
@@ -129,23 +97,20 @@ class A2c:
                 _side_by_side([outcome.base_reward for outcome in self._outcomes]),
                 _side_by_side([outcome.constraint for outcome in self._outcomes]),
                 multipliers,
-                self._learning.reward_scale,
+                learning.reward_scale,
             )
         )
         reward = reward.view(*reward.shape[:2], num_slots, -1, reward.shape[3])
-        critic = self.critic.requires_grad_()
-        outputs = self._critic_layers.forward(critic, inputs)
-        value = self.network.values(outputs, num_seeds)
+        critic = self.critic.detach().requires_grad_()
+        value = self.network.values(self._critic_layers.forward(critic, inputs), len(multipliers))
         value = value.view(*value.shape[:2], num_slots + 1, -1, value.shape[3])
         with torch.no_grad():
-            advantage = advantages(reward, value, self._learning.discount, self._learning.gae_decay)
+            advantage = advantages(reward, value, learning.discount, learning.gae_decay)
             target = advantage + value[:, :, :-1]
         loss = self._means(smooth_l1_loss(value[:, :, :-1], target, reduction="none")).mean((2, 3))
-        (gradient,) = torch.autograd.grad(loss.sum(), critic)
-        self.critic = critic.detach()
-        self.critic_adam.step(self.critic, gradient)
+        self.critic_adam.descend(critic, loss.sum())
         actor_loss = None
-        if self.critic_adam.steps > self._learning.critic_warmup_updates:
+        if self.critic_adam.steps > learning.critic_warmup_updates:
             without_last = inputs[:, : inputs.shape[1] // (num_slots + 1) * num_slots]
             actor_loss = self._update_actors(without_last, self._means(advantage).flatten(2))
         return Losses(critic=loss.detach(), actor=actor_loss)
@@ -164,34 +129,14 @@ class A2c:
         counts = torch.tensor((slices.num_urllc, slices.num_embb))
         by_user = worth.repeat_interleave(counts, dim=1).transpose(1, 2)
         drawn = torch.from_numpy(_side_by_side(self._drawn))
-        actor = self.actor.requires_grad_()
-        raw = self.network.raw_actions(self.network.actor.forward(actor, inputs), len(drawn))
-        unlikeliness = 0.5 * ((drawn - raw) / float(self._spread)).square()
+        actor = self.actor.detach().requires_grad_()
+        raw = self._raw_actions(actor, inputs)
+        unlikeliness = 0.5 * ((drawn - raw) / float(self._noise_spread)).square()
         by_agent = (by_user * unlikeliness).split_with_sizes(counts.tolist(), dim=2)
         loss = torch.stack([part.sum(2).mean(1) for part in by_agent], dim=1)
         penalty = self._learning.action_penalty * raw.square().mean((1, 2))
-        (gradient,) = torch.autograd.grad(loss.sum() + penalty.sum(), actor)
-        self.actor = actor.detach()
-        self.actor_adam.step(self.actor, gradient)
+        self.actor_adam.descend(actor, loss.sum() + penalty.sum())
         return loss.detach()
-
-    def _means(self, parts: Tensor) -> Tensor:
-        """Means over the users of each slice, shape (seeds, 2, T, E), from (seeds, 2, T, E, m)."""
-        return torch.einsum("sateb,ab->sate", parts, self._shares)
-
-    def state(self) -> dict[str, Any]:
-        """Everything needed to go on after a round, when no rollout is under way."""
-        return {
-            "actor": self.actor,
-            "critic": self.critic,
-            "adam": [self.actor_adam.state(), self.critic_adam.state()],
-        }
-
-    def load_state(self, state: dict[str, Any]) -> None:
-        """Take over what `state` returned."""
-        self.actor, self.critic = state["actor"], state["critic"]
-        for adam, saved in zip((self.actor_adam, self.critic_adam), state["adam"], strict=True):
-            adam.load_state(saved)
 
 
 def _side_by_side(slots: list[NDArray[Any]]) -> NDArray[np.float32]:

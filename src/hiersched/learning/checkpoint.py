@@ -10,7 +10,7 @@ import torch
 
 from hiersched.policies.features import FEATURE_VERSION
 
-_FORMAT = 2
+_FORMAT = 3
 
 
 class CheckpointError(ValueError):
@@ -37,10 +37,7 @@ def save_checkpoint(path: Path, scenario_sha256: str, state: dict[str, Any]) -> 
 def load_checkpoint(path: Path, scenario_sha256: str) -> dict[str, Any]:
     """Read what `save_checkpoint` wrote.
 
-    Raises
-    ------
-    CheckpointError
-        If it is no checkpoint, or one of another scenario or version.
+    CheckpointError if it is no checkpoint, or one of another scenario or version.
     """
     try:
         saved = torch.load(path, weights_only=True)

@@ -17,30 +17,15 @@ MAX_WEIGHT_SHARPNESS = 8.0
 _LEAST_PRIORITY = 1e-3
 """Of an empty queue, relative to the largest: its user would otherwise pass no gradient."""
 
-Relaxation = Callable[..., Tensor]
-"""(weights (..., U), features (..., U, F), num_prb, floor_slope) -> PRBs (..., U)."""
-
 
 def prb_shares(weights: Tensor, num_prb: int, *, floor_slope: float = 0.0) -> Tensor:
     """PRBs of every user under weighted proportional fairness, were PRBs divisible.
 
     Maximises sum w_i log n_i subject to sum n_i = K and n_i >= 1: water-filling,
-    n_i = max(1, w_i / mu).
+    n_i = max(1, w_i / mu), shape (..., U) as the positive weights, differentiable; K >= U.
 
-    Parameters
-    ----------
-    weights
-        Positive, shape (..., U).
-    num_prb
-        K, at least U.
-    floor_slope
-        A user held at 1 has no gradient, so an actor that starves it could never learn better.
-        This share of the gradient that all users would have without the floor is added.
-
-    Returns
-    -------
-    shares
-        n_i, shape (..., U), differentiable.
+    A user held at 1 has no gradient, so an actor that starves it could never learn better: the
+    share `floor_slope` of the gradient that all users would have without the floor is added.
     """
     num_users = weights.shape[-1]
     if num_users == num_prb:
@@ -75,17 +60,8 @@ def max_weight_shares(
     MaxWeight gives a PRB to the largest w q r. Fading makes that a matter of chance; here the
     chances are (w q r)^s over their sum, with s = MAX_WEIGHT_SHARPNESS and r the mean rate. The cap
     of the scheduler at what a user needs is left out, so the gradient overrates PRBs beyond it.
-
-    Parameters
-    ----------
-    weights
-        Positive, shape (..., U).
-    features
-        Features of `policies.features`, shape (..., U, F): queue and rate are formed from them.
-    num_prb
-        K, at least U.
-    floor_slope
-        Unused: nobody is without a gradient.
+    Queue and rate are formed from the features (..., U, F); `floor_slope` is not used, since nobody
+    is without a gradient.
     """
     # need = q / (r per PRB), so that q r is need r^2 up to a constant.
     need = NEED_SCALE * features[..., _NEED]
@@ -96,5 +72,6 @@ def max_weight_shares(
     return 1.0 + (num_prb - weights.shape[-1]) * chance
 
 
-RELAXATIONS: dict[str, Relaxation] = {"pf": pf_shares, "max_weight": max_weight_shares}
-"""Relaxed allocation by the scheduler from which the residual starts."""
+RELAXATIONS: dict[str, Callable[..., Tensor]] = {"pf": pf_shares, "max_weight": max_weight_shares}
+"""Relaxed allocation by the scheduler from which the residual starts: (weights (..., U), features
+(..., U, F), num_prb, floor_slope) -> PRBs (..., U)."""

@@ -28,17 +28,9 @@ def step_multiplier(
 ) -> Multiplier:
     """Dual step: I <- clip(I - eta y, 0, max), lambda = clip(I - kappa y, 0, max).
 
+    y is the mean constraint of the last episodes, negative where it was violated, shape (..., R).
     The integral stays within the range of the multiplier, so that it does not wind up at the cap;
     the proportional part damps the oscillation of plain ascent (Stooke et al., ICML 2020).
-
-    Parameters
-    ----------
-    multiplier
-        Before the step.
-    constraint
-        Mean y of the last episodes, negative where the constraint was violated, shape (..., R).
-    objective
-        eta, kappa and the cap.
     """
     cap = objective.multiplier_max
     integral = np.clip(multiplier.integral - objective.multiplier_step * constraint, 0.0, cap)
@@ -53,19 +45,11 @@ def episode_constraint(
     late_packets: NDArray[np.float64],
     mean_constraint: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Mean y of a round of episodes, shape (..., R).
+    """Mean y of a round of episodes, shape (..., R) as the sums of packets.
 
-    Parameters
-    ----------
-    objective
-        Which constraint: ``measured`` gives (1 - chi) - late share of each user, ``surrogate`` the
-        mean over all users of the paper's y, the same for each.
-    reliability
-        chi.
-    due_packets, late_packets
-        Sums over the episodes, shape (..., R).
-    mean_constraint
-        Mean of the slots' y, shape (..., R).
+    `objective.constraint` decides: ``measured`` gives (1 - chi) - late share of each user, chi the
+    reliability, ``surrogate`` the mean over all users of the paper's y, the same for each
+    (`mean_constraint` has the mean of the slots' y).
     """
     if objective.constraint == "measured":
         share = np.divide(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 import torch
@@ -17,6 +18,7 @@ from torch.nn import functional
 from hiersched.core.randomness import world_key
 from hiersched.learning.stack import Layers
 from hiersched.policies.features import NEED_SCALE, num_features
+from hiersched.policies.learned import layer_sizes
 from hiersched.scenario.schema import Learning, Users
 
 NUM_AGENTS = 2
@@ -33,11 +35,6 @@ class Slices:
     def width(self) -> int:
         """n, users of the larger slice."""
         return max(self.num_urllc, self.num_embb)
-
-    @property
-    def num_users(self) -> int:
-        """U, users of both."""
-        return self.num_urllc + self.num_embb
 
     def split(self, users: Tensor) -> Tensor:
         """Form the rows of both slices, (..., 2, n, F) from (..., U, F); 0 where no user is."""
@@ -69,18 +66,31 @@ class Network(ABC):
     num_features: int
     hidden: tuple[int, ...]
 
+    kind: ClassVar[str]
+
     @property
-    @abstractmethod
     def actor(self) -> Layers:
         """Sizes of the actors; critics of states alone see the same."""
+        users = self.slices.num_urllc, self.slices.num_embb
+        return Layers(layer_sizes(self.kind, self.hidden, self.num_features, *users))
+
+    def critic(self, *, sees_counts: bool) -> Layers:
+        """Sizes of the critics of states, or of states and what was executed."""
+        more = self.num_counts if sees_counts else 0
+        return Layers((self.actor.sizes[0] + more, *self.hidden, 1))
+
+    def raw_actions(self, outputs: Tensor, num_seeds: int) -> Tensor:
+        """Order the outputs of the actors before tanh by user, shape (seeds, B, U)."""
+        rows = outputs.view(num_seeds, NUM_AGENTS, -1, self.slices.width).transpose(1, 2)
+        return self.slices.join(rows)
+
+    def values(self, outputs: Tensor, num_seeds: int) -> Tensor:
+        """Order the outputs of the critics as values, shape (seeds, 2, B, m)."""
+        return outputs.view(num_seeds, NUM_AGENTS, -1, self.value_shares().shape[1])
 
     @abstractmethod
     def inputs(self, features: Tensor) -> Tensor:
         """Form what the actors see, (seeds * 2, N, inputs), from (seeds, B, U, F)."""
-
-    @abstractmethod
-    def raw_actions(self, outputs: Tensor, num_seeds: int) -> Tensor:
-        """Order the outputs of the actors before tanh by user, shape (seeds, B, U)."""
 
     @property
     @abstractmethod
@@ -99,15 +109,6 @@ class Network(ABC):
     def value_shares(self) -> Tensor:
         """Weights, shape (2, m): a value's sum with them is that of the slice's mean reward."""
 
-    def critic(self, *, sees_counts: bool) -> Layers:
-        """Sizes of the critics of states, or of states and what was executed."""
-        more = self.num_counts if sees_counts else 0
-        return Layers((self.actor.sizes[0] + more, *self.hidden, 1))
-
-    def values(self, outputs: Tensor, num_seeds: int) -> Tensor:
-        """Order the outputs of the critics as values, shape (seeds, 2, B, m)."""
-        return outputs.view(num_seeds, NUM_AGENTS, -1, self.value_shares().shape[1])
-
 
 class SharedNetwork(Network):
     """One small network applied to every user of a slice, with the means of both slices.
@@ -115,15 +116,8 @@ class SharedNetwork(Network):
     It does not care how many users there are, nor in what order.
     """
 
-    @property
-    def actor(self) -> Layers:
-        """As in `Network`."""
-        return Layers((3 * self.num_features, *self.hidden, 1))
-
-    @property
-    def num_counts(self) -> int:
-        """As in `Network`."""
-        return 1
+    kind = "shared"
+    num_counts = 1
 
     def inputs(self, features: Tensor) -> Tensor:
         """As in `Network`."""
@@ -133,11 +127,6 @@ class SharedNetwork(Network):
         other_mean = means.flip(2).unsqueeze(3).expand_as(rows)
         inputs = torch.cat((rows, own_mean, other_mean), dim=-1).transpose(1, 2)
         return inputs.reshape(NUM_AGENTS * features.shape[0], -1, 3 * self.num_features)
-
-    def raw_actions(self, outputs: Tensor, num_seeds: int) -> Tensor:
-        """As in `Network`."""
-        rows = outputs.view(num_seeds, NUM_AGENTS, -1, self.slices.width).transpose(1, 2)
-        return self.slices.join(rows)
 
     def count_inputs(self, prb_count: Tensor) -> Tensor:
         """As in `Network`."""
@@ -156,25 +145,16 @@ class SharedNetwork(Network):
 class FlatNetwork(Network):
     """One network an agent over all users side by side, as a reader of the paper would write it."""
 
-    @property
-    def actor(self) -> Layers:
-        """As in `Network`."""
-        inputs = self.slices.num_users * self.num_features
-        return Layers((inputs, *self.hidden, self.slices.width))
+    kind = "mlp"
 
     @property
     def num_counts(self) -> int:
         """As in `Network`."""
-        return self.slices.num_users
+        return self.slices.num_urllc + self.slices.num_embb
 
     def inputs(self, features: Tensor) -> Tensor:
         """As in `Network`."""
         return features.flatten(2).repeat_interleave(NUM_AGENTS, dim=0)
-
-    def raw_actions(self, outputs: Tensor, num_seeds: int) -> Tensor:
-        """As in `Network`."""
-        rows = outputs.view(num_seeds, NUM_AGENTS, -1, self.slices.width).transpose(1, 2)
-        return self.slices.join(rows)
 
     def count_inputs(self, prb_count: Tensor) -> Tensor:
         """As in `Network`."""
@@ -190,7 +170,7 @@ class FlatNetwork(Network):
         return torch.ones(NUM_AGENTS, 1)
 
 
-NETWORKS: dict[str, type[Network]] = {"shared": SharedNetwork, "mlp": FlatNetwork}
+NETWORKS: dict[str, type[Network]] = {kind.kind: kind for kind in (SharedNetwork, FlatNetwork)}
 
 
 def learner_network(learning: Learning, users: Users) -> Network:

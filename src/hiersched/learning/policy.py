@@ -37,49 +37,22 @@ def single_thread() -> Iterator[None]:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class TrainedPolicy(Weigher):
-    """Both actors of one seed after training; runs as a kernel, without noise.
+    """Both actors of one seed after training; runs as a kernel, without noise."""
 
-    Attributes
-    ----------
-    parameters
-        Of the URLLC and the eMBB actor, shape (2, P), float32.
-    network, hidden
-        Which network (``shared`` or ``mlp``), and its hidden layers.
-    rule
-        The scheduler whose utilities the weights multiply.
-    observe_robots
-        Whether the features of the robots are observed.
-    num_embb
-        eMBB users in training; an ``mlp`` runs on no other number.
-    weight_exponent
-        c of w = exp(c a).
-    multipliers
-        Multiplier of each URLLC user when training ended, shape (R,): what the policy observes from
-        now on.
-    seed, scenario_sha256, feature_version
-        Where the policy comes from.
-    """
-
-    parameters: NDArray[np.float32]
-    network: str
-    hidden: tuple[int, ...]
-    rule: str
-    observe_robots: bool
-    weight_exponent: float
-    num_embb: int
+    parameters: NDArray[np.float32]  # (2, P) of the URLLC and the eMBB actor
+    network: str  # ``shared`` or ``mlp``
+    hidden: tuple[int, ...]  # its hidden layers
+    rule: str  # the scheduler whose utilities the weights multiply
+    observe_robots: bool  # whether the features of the robots are observed
+    weight_exponent: float  # c of w = exp(c a)
+    num_embb: int  # eMBB users in training; an ``mlp`` runs on no other number
+    # (R,) of each URLLC user when training ended: what the policy observes from now on.
     multipliers: NDArray[np.float64]
     seed: int
     scenario_sha256: str
-    feature_version: int = FEATURE_VERSION
 
     def words(self, setup: Setup) -> SharedWords | FlatWords:
-        """As in `Weigher`.
-
-        Raises
-        ------
-        ValueError
-            If the policy is for other numbers of users.
-        """
+        """As in `Weigher`; ValueError if the policy is for other numbers of users."""
         users = setup.scenario.users
         mine, theirs = (len(self.multipliers), self.num_embb), (users.num_urllc, users.num_embb)
         if mine != theirs:
@@ -99,32 +72,20 @@ class TrainedPolicy(Weigher):
 
     def save(self, path: str | Path) -> None:
         """Write the policy to `path`; the file appears whole or not at all."""
-        part = Path(f"{path}.part")
         saved = {
-            "format": _FORMAT,
-            "parameters": torch.from_numpy(self.parameters),
-            "network": self.network,
-            "hidden": list(self.hidden),
-            "start": self.rule,
-            "observe_robots": self.observe_robots,
-            "weight_exponent": self.weight_exponent,
-            "num_embb": self.num_embb,
-            "multipliers": torch.from_numpy(self.multipliers),
-            "seed": self.seed,
-            "scenario_sha256": self.scenario_sha256,
-            "feature_version": self.feature_version,
+            name: torch.from_numpy(value) if isinstance(value, np.ndarray) else value
+            for name, value in vars(self).items()
         }
-        torch.save(saved, part)
+        saved["start"] = saved.pop("rule")
+        part = Path(f"{path}.part")
+        torch.save({"format": _FORMAT, "feature_version": FEATURE_VERSION, **saved}, part)
         os.replace(part, path)
 
     @classmethod
     def load(cls, path: str | Path) -> TrainedPolicy:
         """Read a policy that `save` wrote.
 
-        Raises
-        ------
-        PolicyError
-            If the file is none, or of features that this version does not compute.
+        PolicyError if the file is none, or of features that this version does not compute.
         """
         try:
             saved = torch.load(path, weights_only=True)
@@ -132,34 +93,21 @@ class TrainedPolicy(Weigher):
             raise
         except Exception as error:
             raise PolicyError(f"{path}: not a policy file: {error}") from error
-        if not isinstance(saved, dict) or saved.get("format") != _FORMAT:
+        if not isinstance(saved, dict) or saved.pop("format", None) != _FORMAT:
             raise PolicyError(f"{path}: not a policy file of format {_FORMAT}")
-        if saved["feature_version"] != FEATURE_VERSION:
+        version = saved.pop("feature_version")
+        if version != FEATURE_VERSION:
             raise PolicyError(
-                f"{path}: feature_version = {saved['feature_version']}: must be {FEATURE_VERSION} "
+                f"{path}: feature_version = {version}: must be {FEATURE_VERSION} "
                 f"({', '.join(FEATURES)})"
             )
-        return cls(
-            parameters=saved["parameters"].numpy(),
-            network=saved["network"],
-            hidden=tuple(saved["hidden"]),
-            rule=saved["start"],
-            observe_robots=saved["observe_robots"],
-            weight_exponent=saved["weight_exponent"],
-            num_embb=saved["num_embb"],
-            multipliers=saved["multipliers"].numpy(),
-            seed=saved["seed"],
-            scenario_sha256=saved["scenario_sha256"],
-            feature_version=saved["feature_version"],
-        )
+        arrays = {name: saved.pop(name).numpy() for name in ("parameters", "multipliers")}
+        return cls(rule=saved.pop("start"), hidden=tuple(saved.pop("hidden")), **arrays, **saved)
 
     def for_users(self, num_urllc: int, num_embb: int) -> TrainedPolicy:
         """Take the policy to other numbers of users: each URLLC user observes the mean multiplier.
 
-        Raises
-        ------
-        ValueError
-            If it is an ``mlp`` of other numbers: its inputs are the users themselves.
+        ValueError if it is an ``mlp`` of other numbers: its inputs are the users themselves.
         """
         mine = len(self.multipliers), self.num_embb
         if mine == (num_urllc, num_embb):

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hiersched.core.files import write_bytes
 from hiersched.learning.algorithm import Losses
 from hiersched.simulator import SlotRecord
 
@@ -19,15 +19,11 @@ class RoundSums:
 
     def __init__(self, num_seeds: int, num_urllc: int) -> None:
         self.slots = 0
-        self.due_packets = np.zeros((num_seeds, num_urllc))
-        self.late_packets = np.zeros((num_seeds, num_urllc))
-        self._constraint = np.zeros((num_seeds, num_urllc))
+        self.due_packets, self.late_packets, self._constraint = np.zeros((3, num_seeds, num_urllc))
         self._reward = np.zeros((2, num_seeds))
         self._backlog = np.zeros((2, num_seeds))
         self._tracking_error = np.zeros(num_seeds)
-        self._critic_losses: list[NDArray[np.float32]] = []
-        self._actor_losses: list[NDArray[np.float32]] = []
-        self._none = np.full((num_seeds, 2), np.nan)
+        self._losses: list[Losses] = []
 
     def add(self, one: SlotRecord) -> None:
         """Add one slot of all environments."""
@@ -51,9 +47,7 @@ class RoundSums:
 
     def add_losses(self, losses: Losses) -> None:
         """Add one update."""
-        self._critic_losses.append(losses.critic.numpy())
-        if losses.actor is not None:
-            self._actor_losses.append(losses.actor.numpy())
+        self._losses.append(losses)
 
     def mean_constraint(self) -> NDArray[np.float64]:
         """Mean y over slots and environments, shape (seeds, R)."""
@@ -61,17 +55,16 @@ class RoundSums:
 
     def late_share(self) -> NDArray[np.float64]:
         """Late packets over due packets of the URLLC slice, shape (seeds,)."""
-        share: NDArray[np.float64] = self.late_packets.sum(1) / np.maximum(
-            1.0, self.due_packets.sum(1)
-        )
+        due = np.maximum(1.0, self.due_packets.sum(1))
+        share: NDArray[np.float64] = self.late_packets.sum(1) / due
         return share
 
     def columns(self) -> dict[str, NDArray[np.float64]]:
         """Columns of the progress file, shape (seeds,) each; a loss without updates is NaN."""
-        critic, actor = (
-            np.mean(losses, axis=0) if losses else self._none
-            for losses in (self._critic_losses, self._actor_losses)
-        )
+        critics = [losses.critic.numpy() for losses in self._losses]
+        actors = [losses.actor.numpy() for losses in self._losses if losses.actor is not None]
+        none = np.full((len(self._constraint), 2), np.nan)
+        critic, actor = (np.mean(some, axis=0) if some else none for some in (critics, actors))
         reward, backlog = self._reward / self.slots, self._backlog / self.slots
         return {
             "reward_urllc": reward[0],
@@ -87,64 +80,10 @@ class RoundSums:
         }
 
 
-class ProgressFile:
-    """The progress of a training as a CSV file that is whole at any time.
-
-    Parameters
-    ----------
-    path
-        Where to write; None keeps the rows in memory only.
-    """
-
-    def __init__(self, path: Path | None) -> None:
-        self._path = path
-        self.rows: list[dict[str, float]] = []
-
-    def add(
-        self,
-        sums: RoundSums,
-        *,
-        seeds: tuple[int, ...],
-        episode: int,
-        slots: int,
-        multiplier_mean: NDArray[np.float64],
-        seconds: float,
-    ) -> None:
-        """Add one row a seed and write the file.
-
-        Parameters
-        ----------
-        sums
-            Of the round that has just ended.
-        seeds
-            In the order of the arrays.
-        episode, slots
-            Episodes and slots of each seed so far.
-        multiplier_mean
-            Mean multiplier of each seed after the round, shape (seeds,).
-        seconds
-            Wall-clock time since training began.
-        """
-        columns = sums.columns()
-        for index, seed in enumerate(seeds):
-            self.rows.append(
-                {
-                    "episode": episode,
-                    "seed": seed,
-                    "slots": slots,
-                    **{name: float(values[index]) for name, values in columns.items()},
-                    "multiplier_mean": float(multiplier_mean[index]),
-                    "seconds": round(seconds, 3),
-                }
-            )
-        if self._path is not None:
-            self._write(self._path)
-
-    def _write(self, path: Path) -> None:
-        text = io.StringIO()
-        writer = csv.DictWriter(text, list(self.rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(self.rows)
-        part = Path(f"{path}.part")
-        part.write_text(text.getvalue(), encoding="utf-8")
-        os.replace(part, path)
+def write_progress(path: Path, rows: list[dict[str, float]]) -> None:
+    """Write the rows of a training as a CSV file that is whole at any time."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    write_bytes(path, text.getvalue().encode())

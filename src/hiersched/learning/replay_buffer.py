@@ -12,33 +12,25 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from hiersched.learning.algorithm import Outcome
+
 
 class Transitions(NamedTuple):
-    """A batch of transitions, leading axes (seeds, B)."""
+    """A batch of transitions, leading axes (seeds, B): features and the `Outcome`, in float32."""
 
     features: NDArray[np.float32]  # (U, F) at the start of the slot
-    prb_count: NDArray[np.float32]  # (U,) executed
-    base_reward: NDArray[np.float32]  # (U,) of each user, without the constraint
-    constraint: NDArray[np.float32]  # (R,) y of each URLLC user
-    next_features: NDArray[np.float32]  # (U, F) at the start of the next slot
+    prb_count: NDArray[np.float32]
+    base_reward: NDArray[np.float32]
+    constraint: NDArray[np.float32]
+    next_features: NDArray[np.float32]
 
 
 class ReplayBuffer:
     """The last rounds of training; a round is one episode in every environment.
 
-    Parameters
-    ----------
-    num_seeds, num_envs, num_slots
-        Seeds, environments of each seed, slots of an episode.
-    num_rounds
-        Rounds to keep: the capacity is ``num_rounds * num_envs * num_slots`` transitions a seed.
-    num_urllc
-        R.
-    feature_shape
-        (U, F).
+    It keeps `num_rounds` of them: ``num_rounds * num_envs * num_slots`` transitions a seed.
+    `feature_shape` is (U, F), `num_urllc` R.
     """
-
-    _ARRAYS = ("_features", "_prb_count", "_base_reward", "_constraint")
 
     def __init__(
         self,
@@ -49,19 +41,17 @@ class ReplayBuffer:
         num_urllc: int,
         feature_shape: tuple[int, int],
     ) -> None:
-        place = (num_seeds, num_rounds, num_slots, num_envs)
+        num_users, place = feature_shape[0], (num_seeds, num_rounds, num_slots, num_envs)
         # One slot more than transitions: the features of t + 1 are the next ones of t.
-        self._features = np.zeros(
-            (num_seeds, num_rounds, num_slots + 1, num_envs, *feature_shape), np.float32
-        )
-        self._prb_count = np.zeros((*place, feature_shape[0]), np.float32)
-        self._base_reward = np.zeros((*place, feature_shape[0]), np.float32)
-        self._constraint = np.zeros((*place, num_urllc), np.float32)
-        self._num_rounds = num_rounds
-        self._num_slots = num_slots
-        self._num_envs = num_envs
-        self._started = 0
-        self._slot = 0
+        shapes = {
+            "features": (num_seeds, num_rounds, num_slots + 1, num_envs, *feature_shape),
+            "prb_count": (*place, num_users),
+            "base_reward": (*place, num_users),
+            "constraint": (*place, num_urllc),
+        }
+        self._arrays = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
+        self._num_rounds, self._num_slots, self._num_envs = num_rounds, num_slots, num_envs
+        self._started = self._slot = 0
 
     def __len__(self) -> int:
         """Transitions of each seed that can be sampled."""
@@ -72,21 +62,14 @@ class ReplayBuffer:
         """Begin a round with features (seeds, envs, U, F), in place of the oldest one."""
         self._started += 1
         self._slot = 0
-        self._features[:, self._row, 0] = features
+        self._arrays["features"][:, self._row, 0] = features
 
-    def add(
-        self,
-        prb_count: NDArray[np.uint32],
-        base_reward: NDArray[np.float64],
-        constraint: NDArray[np.float64],
-        next_features: NDArray[np.float32],
-    ) -> None:
-        """Add a slot of all environments; leading axes (seeds, envs), see `Transitions`."""
+    def add(self, outcome: Outcome) -> None:
+        """Add a slot of all environments."""
         row, slot = self._row, self._slot
-        self._prb_count[:, row, slot] = prb_count
-        self._base_reward[:, row, slot] = base_reward
-        self._constraint[:, row, slot] = constraint
-        self._features[:, row, slot + 1] = next_features
+        for name in ("prb_count", "base_reward", "constraint"):
+            self._arrays[name][:, row, slot] = getattr(outcome, name)
+        self._arrays["features"][:, row, slot + 1] = outcome.next_features
         self._slot += 1
 
     def sample(self, batch_size: int, generators: list[np.random.Generator]) -> Transitions:
@@ -99,14 +82,9 @@ class ReplayBuffer:
         first = max(self._started - self._num_rounds, 0)
         row = (first + age) % self._num_rounds
         seed = np.arange(len(generators))[:, None]
-        here = (seed, row, slot, env)
-        return Transitions(
-            features=self._features[here],
-            prb_count=self._prb_count[here],
-            base_reward=self._base_reward[here],
-            constraint=self._constraint[here],
-            next_features=self._features[seed, row, slot + 1, env],
-        )
+        following = self._arrays["features"][seed, row, slot + 1, env]
+        drawn = {name: array[seed, row, slot, env] for name, array in self._arrays.items()}
+        return Transitions(**drawn, next_features=following)
 
     @property
     def _row(self) -> int:
@@ -114,11 +92,10 @@ class ReplayBuffer:
 
     def state(self) -> dict[str, Any]:
         """Everything needed to go on, for `load_state`."""
-        arrays = {name: torch.from_numpy(getattr(self, name)) for name in self._ARRAYS}
+        arrays = {name: torch.from_numpy(array) for name, array in self._arrays.items()}
         return {"arrays": arrays, "started": self._started, "slot": self._slot}
 
     def load_state(self, state: dict[str, Any]) -> None:
         """Take over what `state` returned."""
-        for name, saved in state["arrays"].items():
-            setattr(self, name, saved.numpy())
+        self._arrays = {name: saved.numpy() for name, saved in state["arrays"].items()}
         self._started, self._slot = state["started"], state["slot"]

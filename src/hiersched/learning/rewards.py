@@ -18,17 +18,9 @@ def user_rewards(
 ) -> NDArray[np.float64]:
     """Share a slice's reward among its users: -(drift + V penalty) / scale, shape (E, U).
 
-    Their mean over a slice's users is the reward in the record, up to the priced constraint and
-    the price of the robots' tracking error, which each URLLC user pays for its own robot.
-
-    Parameters
-    ----------
-    one
-        Record of one slot, leading axes (E, 1).
-    after
-        Backlog after the slot, shape (E, U), packets.
-    scenario
-        V, epsilon, the price of the tracking error and the reward scale.
+    Their mean over a slice's users is the reward in the record, leading axes (E, 1), up to the
+    priced constraint and the price of the robots' tracking error, which each URLLC user pays for
+    its own robot. `after` is the backlog after the slot, shape (E, U), packets.
     """
     objective = scenario.objective
     drift = 0.5 * (after**2 - one.backlog_packets[:, 0] ** 2)
@@ -47,16 +39,8 @@ def priced_rewards(
 ) -> Tensor:
     """Rewards of every user under the multipliers now in force, shape (seeds, B, U).
 
-    Parameters
-    ----------
-    base_reward
-        Without the constraint, shape (seeds, B, U).
-    constraint
-        y of each URLLC user, shape (seeds, B, R).
-    multipliers
-        Shape (seeds, R).
-    reward_scale
-        Of the scenario.
+    `base_reward` is without the constraint, shape (seeds, B, U); `constraint` the y of each URLLC
+    user, (seeds, B, R); the multipliers (seeds, R).
     """
     reward = base_reward.copy()
     priced = constraint * multipliers[:, None, :].astype(np.float32)

@@ -11,6 +11,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from hiersched.policies.learned import num_parameters
+
 _ADAM_DECAY, _ADAM_SQUARE_DECAY, _ADAM_EPSILON = 0.9, 0.999, 1e-8
 
 
@@ -23,7 +25,7 @@ class Layers:
     @property
     def num_parameters(self) -> int:
         """P, parameters of one network."""
-        return sum((rows + 1) * columns for rows, columns in pairwise(self.sizes))
+        return num_parameters(self.sizes)
 
     def initial(self, rng: np.random.Generator, *, zero_output: bool) -> NDArray[np.float32]:
         """Draw one network, shape (P,): uniform within 1/sqrt(inputs); last layer 0 if asked."""
@@ -115,6 +117,11 @@ class StackedAdam:
         self.mean = torch.zeros_like(parameters)
         self.square = torch.zeros_like(parameters)
         self.steps = 0
+
+    def descend(self, leaf: Tensor, loss: Tensor) -> None:
+        """Move parameters against the gradient of a loss; `leaf` is their view in its graph."""
+        (gradient,) = torch.autograd.grad(loss, leaf)
+        self.step(leaf.detach(), gradient)
 
     def step(self, parameters: Tensor, gradient: Tensor) -> None:
         """Move `parameters`, shape (S, P), against `gradient`, in place."""

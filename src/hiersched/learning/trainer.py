@@ -15,13 +15,12 @@ from tqdm import tqdm
 from hiersched.core.randomness import world_key, world_keys
 from hiersched.core.registry import ALGORITHMS
 from hiersched.env.core import SlotLoop
-from hiersched.learning import a2c, off_policy  # noqa: F401  # so that their code counts as ours
+from hiersched.learning import a2c, ddpg  # noqa: F401  # so that their code counts as ours
 from hiersched.learning.algorithm import Algorithm, Outcome
 from hiersched.learning.checkpoint import load_checkpoint, save_checkpoint
-from hiersched.learning.frozen import Frozen
 from hiersched.learning.multiplier import Multiplier, episode_constraint, step_multiplier
 from hiersched.learning.policy import TrainedPolicy, single_thread
-from hiersched.learning.progress import ProgressFile, RoundSums
+from hiersched.learning.progress import RoundSums, write_progress
 from hiersched.learning.rewards import user_rewards
 from hiersched.scenario import Scenario, scenario_sha256
 from hiersched.scenario.schema import checkpoint_rounds
@@ -32,6 +31,8 @@ CHECKPOINT = "checkpoint"
 
 Blocks = dict[str, NDArray[Any]]
 OnSlots = Callable[[int, Blocks], None]
+OnSlot = Callable[[SlotRecord, int], None]
+"""Is given every slot's record, leading axes (seeds * worlds, 1), and the slot's index."""
 
 
 class Trainer:
@@ -57,7 +58,7 @@ class Trainer:
         self.generators = [
             np.random.default_rng(world_key("train/draws", seed)) for seed in learning.seeds
         ]
-        make = Frozen if learning.frozen else ALGORITHMS[learning.algorithm]
+        make = Algorithm if learning.frozen else ALGORITHMS[learning.algorithm]
         self.algorithm: Algorithm = make(scenario, self.generators)
         self.loop = SlotLoop(scenario, gains, self._worlds(), learning.slots_per_episode)
         fixed = world_keys(CHECKPOINT, 0, learning.checkpoint_worlds)
@@ -67,61 +68,57 @@ class Trainer:
     def _worlds(self) -> NDArray[np.uint64]:
         learning = self.scenario.learning
         first = self.round * learning.num_envs
-        return np.array(
-            [
-                world_key("train", seed, first + env)
-                for seed in learning.seeds
-                for env in range(learning.num_envs)
-            ],
-            dtype=np.uint64,
-        )
+        episodes = range(first, first + learning.num_envs)
+        keys = [world_key("train", seed, j) for seed in learning.seeds for j in episodes]
+        return np.array(keys, dtype=np.uint64)
 
     def _by_seed(self, values: NDArray[Any]) -> NDArray[Any]:
         return values.reshape(self.num_seeds, -1, *values.shape[1:])
 
-    def run_round(self, on_slot: Callable[[SlotRecord, int], None]) -> RoundSums:
-        """One episode in every environment; the algorithm learns as they run.
+    def _start(self, loop: SlotLoop, worlds: NDArray[np.uint64]) -> NDArray[np.float32]:
+        """Begin episodes under the multipliers in force; returns features (seeds, E, U, F)."""
+        each = len(worlds) // self.num_seeds
+        loop.multipliers[:] = np.repeat(self.multiplier.value, each, axis=0)
+        return self._by_seed(loop.reset(worlds))
 
-        Parameters
-        ----------
-        on_slot
-            Is given every slot's record, leading axes (seeds * envs, 1), and the slot's index.
-        """
-        learning, loop, algorithm = self.scenario.learning, self.loop, self.algorithm
-        loop.multipliers[:] = np.repeat(self.multiplier.value, learning.num_envs, axis=0)
-        features = self._by_seed(loop.reset(self._worlds()))
+    def _step(self, loop: SlotLoop, actions: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Run one slot under actions (seeds, E, U); returns the next features."""
+        return self._by_seed(loop.step(actions.reshape(len(loop.multipliers), -1)))
+
+    def run_round(self, on_slot: OnSlot) -> RoundSums:
+        """One episode in every environment; the algorithm learns as they run."""
+        loop, algorithm = self.loop, self.algorithm
+        slots = self.scenario.learning.slots_per_episode
+        features = self._start(loop, self._worlds())
         algorithm.start_round(features)
         sums = RoundSums(self.num_seeds, self.scenario.users.num_urllc)
-        for slot in range(learning.slots_per_episode):
-            done = (self.round + slot / learning.slots_per_episode) / self.num_rounds
-            actions = algorithm.explore(features, done)
-            features = self._by_seed(loop.step(actions.reshape(len(loop.multipliers), -1)))
+        for slot in range(slots):
+            done = (self.round + slot / slots) / self.num_rounds
+            features = self._step(loop, algorithm.explore(features, done))
             outcome = self._outcome(features)
             sums.add(loop.record)
             on_slot(loop.record, slot)
-            last = slot == learning.slots_per_episode - 1
-            losses = algorithm.learn(outcome, self.multiplier.value, last=last)
+            losses = algorithm.learn(outcome, self.multiplier.value, last=slot == slots - 1)
             if losses is not None:
                 sums.add_losses(losses)
-        self._step_multiplier(sums)
+        objective = self.scenario.objective
+        constraint = episode_constraint(
+            objective,
+            self.scenario.traffic.reliability,
+            sums.due_packets,
+            sums.late_packets,
+            sums.mean_constraint(),
+        )
+        self.multiplier = step_multiplier(self.multiplier, constraint, objective)
         self.round += 1
         return sums
 
-    def run_checkpoint(self, on_slot: Callable[[SlotRecord, int], None]) -> None:
-        """Run one episode in every fixed world without noise; nothing is learnt from it.
-
-        Parameters
-        ----------
-        on_slot
-            As for `run_round`, with leading axes (seeds * worlds, 1).
-        """
-        loop, worlds = self.fixed_loop, self.scenario.learning.checkpoint_worlds
-        loop.multipliers[:] = np.repeat(self.multiplier.value, worlds, axis=0)
-        features = self._by_seed(loop.reset(self._fixed_worlds))
+    def run_checkpoint(self, on_slot: OnSlot) -> None:
+        """Run one episode in every fixed world without noise; nothing is learnt from it."""
+        features = self._start(self.fixed_loop, self._fixed_worlds)
         for slot in range(self.scenario.learning.slots_per_episode):
-            actions = self.algorithm.act(features)
-            features = self._by_seed(loop.step(actions.reshape(len(loop.multipliers), -1)))
-            on_slot(loop.record, slot)
+            features = self._step(self.fixed_loop, self.algorithm.act(features))
+            on_slot(self.fixed_loop.record, slot)
 
     def _outcome(self, following: NDArray[np.float32]) -> Outcome:
         """Say what the last slot brought, by seed; its record is overwritten by the next one."""
@@ -132,17 +129,6 @@ class Trainer:
             constraint=self._by_seed(one.constraint[:, 0]).copy(),
             next_features=following,
         )
-
-    def _step_multiplier(self, sums: RoundSums) -> None:
-        objective = self.scenario.objective
-        constraint = episode_constraint(
-            objective,
-            self.scenario.traffic.reliability,
-            sums.due_packets,
-            sums.late_packets,
-            sums.mean_constraint(),
-        )
-        self.multiplier = step_multiplier(self.multiplier, constraint, objective)
 
     def policies(self) -> tuple[TrainedPolicy, ...]:
         """Return the policies as they stand, one a seed."""
@@ -191,8 +177,7 @@ class _EpisodeBlocks:
     """Collects the slots of episodes side by side and hands them to a caller, one by one."""
 
     def __init__(self, loop: SlotLoop, num_seeds: int, on_slots: OnSlots | None) -> None:
-        self._on_slots = on_slots
-        self._num_seeds = num_seeds
+        self._on_slots, self._num_seeds = on_slots, num_seeds
         slots = loop.simulator.num_slots
         self._whole = None if on_slots is None else loop.simulator.new_record(slots)
 
@@ -218,49 +203,29 @@ def train(
     checkpoint: Path | None = None,
     show: bool = True,
 ) -> tuple[TrainedPolicy, ...]:
-    """Train all seeds of `scenario.learning` side by side on one thread.
+    """Train all seeds of `scenario.learning` side by side on one thread; return a policy a seed.
 
-    Parameters
-    ----------
-    scenario
-        The validated scenario.
-    gains
-        Gain schedule of the robots.
-    on_slots
-        Is called after every episode with the index of the seed and the episode's record, arrays
-        (T, ...) by field; each seed's episodes come in order. The arrays are overwritten by the
-        next round.
-    on_checkpoint
-        Likewise for the episodes without noise in the fixed worlds, which run at the start and
-        after some rounds (`checkpoint_rounds`); None runs none.
-    progress
-        CSV file with one row a seed and round; None writes none.
-    checkpoint
-        File to resume from if it exists, rewritten after every round and removed at the end; None
-        keeps none. Slots from before a resumption are not reported again.
-    show
-        Whether to show progress on the terminal.
+    `on_slots` is called after every episode with the index of the seed and the episode's record,
+    arrays (T, ...) by field; each seed's episodes come in order, and the arrays are overwritten by
+    the next round. `on_checkpoint` likewise for the episodes without noise in the fixed worlds,
+    which run at the start and after some rounds (`checkpoint_rounds`), and only for it.
 
-    Returns
-    -------
-    policies
-        One a seed, in the order of `scenario.learning.seeds`.
+    `progress` is a CSV file with one row a seed and round, `checkpoint` a file to resume from if it
+    exists, rewritten after every round and removed at the end; slots from before a resumption are
+    not reported again. `show` shows progress on the terminal.
 
-    Raises
-    ------
-    ValueError
-        If the episodes are not a multiple of the environments, or the checkpoint is of another
-        training.
+    ValueError if the episodes are not a multiple of the environments, or the checkpoint is of
+    another training.
     """
     learning = scenario.learning
     sha256 = scenario_sha256(scenario)
     trainer = Trainer(scenario, gains)
-    report = ProgressFile(progress)
+    rows: list[dict[str, float]] = []
     before = 0.0
     if checkpoint is not None and checkpoint.exists():
         state = load_checkpoint(checkpoint, sha256)
         trainer.load_state(state["trainer"])
-        report.rows, before = state["rows"], state["seconds"]
+        rows, before = state["rows"], state["seconds"]
     blocks = _EpisodeBlocks(trainer.loop, trainer.num_seeds, on_slots)
     fixed = _EpisodeBlocks(trainer.fixed_loop, trainer.num_seeds, on_checkpoint)
     rounds = checkpoint_rounds(learning) if on_checkpoint is not None else ()
@@ -283,27 +248,35 @@ def train(
             blocks.add(one, slot)
             bar.update(len(one.reward_urllc))
 
-        if trainer.round == 0 and 0 in rounds:
+        def run_fixed() -> None:
             trainer.run_checkpoint(fixed.add)
             fixed.hand_over()
+
+        if trainer.round == 0 and 0 in rounds:
+            run_fixed()
         while trainer.round < trainer.num_rounds:
             sums = trainer.run_round(on_slot)
             blocks.hand_over()
             if trainer.round in rounds:
-                trainer.run_checkpoint(fixed.add)
-                fixed.hand_over()
+                run_fixed()
             seconds = time.perf_counter() - began
-            report.add(
-                sums,
-                seeds=learning.seeds,
-                episode=trainer.round * learning.num_envs,
-                slots=trainer.round * round_slots,
-                multiplier_mean=trainer.multiplier.value.mean(axis=1),
-                seconds=seconds,
-            )
+            columns = sums.columns()
+            rows += [
+                {
+                    "episode": trainer.round * learning.num_envs,
+                    "seed": seed,
+                    "slots": trainer.round * round_slots,
+                    **{name: float(values[index]) for name, values in columns.items()},
+                    "multiplier_mean": float(trainer.multiplier.value[index].mean()),
+                    "seconds": round(seconds, 3),
+                }
+                for index, seed in enumerate(learning.seeds)
+            ]
+            if progress is not None:
+                write_progress(progress, rows)
             bar.set_postfix_str(f"late {100.0 * sums.late_share().mean():.2f} %")
             if checkpoint is not None:
-                saved = {"trainer": trainer.state(), "rows": report.rows, "seconds": seconds}
+                saved = {"trainer": trainer.state(), "rows": rows, "seconds": seconds}
                 save_checkpoint(checkpoint, sha256, saved)
     if checkpoint is not None:
         checkpoint.unlink(missing_ok=True)

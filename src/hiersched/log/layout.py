@@ -36,13 +36,13 @@ _HEADER_PARTS = [
     ("header:log_time", "<u8"),
     ("header:publish_time", "<u8"),
 ]
-_DTYPES = {
-    FieldDescriptorProto.TYPE_DOUBLE: "<f8",
-    FieldDescriptorProto.TYPE_FLOAT: "<f4",
-    FieldDescriptorProto.TYPE_FIXED32: "<u4",
-    FieldDescriptorProto.TYPE_FIXED64: "<u8",
-    FieldDescriptorProto.TYPE_SFIXED32: "<i4",
-    FieldDescriptorProto.TYPE_SFIXED64: "<i8",
+_DTYPES: dict[int, np.dtype[Any]] = {
+    FieldDescriptorProto.TYPE_DOUBLE: np.dtype("<f8"),
+    FieldDescriptorProto.TYPE_FLOAT: np.dtype("<f4"),
+    FieldDescriptorProto.TYPE_FIXED32: np.dtype("<u4"),
+    FieldDescriptorProto.TYPE_FIXED64: np.dtype("<u8"),
+    FieldDescriptorProto.TYPE_SFIXED32: np.dtype("<i4"),
+    FieldDescriptorProto.TYPE_SFIXED64: np.dtype("<i8"),
 }
 _PACKED = 2  # wire type of protobuf; those of single numbers by their bytes:
 _WIRE_TYPES = {4: 5, 8: 1}
@@ -168,7 +168,7 @@ def _type_of(field: FieldDescriptorProto, wire_type: int) -> tuple[np.dtype[Any]
     if field.type not in _DTYPES:
         kind = FieldDescriptorProto.Type.Name(field.type)
         raise ValueError(f"{field.name} is of {kind}, which has no fixed size")
-    dtype = np.dtype(_DTYPES[field.type])
+    dtype = _DTYPES[field.type]
     if wire_type != (_PACKED if is_array else _WIRE_TYPES[dtype.itemsize]):
         raise ValueError(f"{field.name} has wire type {wire_type}")
     return dtype, is_array

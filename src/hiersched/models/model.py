@@ -24,7 +24,7 @@ from pydantic import ConfigDict
 from hiersched.core.fields import ModelField
 from hiersched.core.parameters import STRICT, Note
 from hiersched.core.registry import PluginError, Registry
-from hiersched.models.plant.feedback import LoopMemory, loop_memory
+from hiersched.models.plant.feedback import LoopMemory
 
 if TYPE_CHECKING:
     from hiersched.control import DelayedPlant
@@ -33,21 +33,11 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class Setup:
-    """For what a model makes its words: the run of a batch of worlds.
-
-    Attributes
-    ----------
-    scenario
-        The validated scenario.
-    num_envs
-        Worlds side by side, E.
-    num_slots
-        Slots of an episode, T.
-    """
+    """For what a model makes its words: the run of a batch of worlds."""
 
     scenario: Scenario
-    num_envs: int
-    num_slots: int
+    num_envs: int  # worlds side by side, E
+    num_slots: int  # of an episode, T
 
     @property
     def num_samples(self) -> int:
@@ -57,18 +47,19 @@ class Setup:
         return math.ceil(length_s / scenario.control.sampling_s - 1e-9)
 
     def loop_memory(self, n: int, m: int) -> LoopMemory:
-        """Return what the loops of the robots remember, for n states and m inputs."""
-        scenario = self.scenario
-        num_robots, longest = scenario.users.num_urllc, scenario.max_delay_steps
-        return loop_memory(self.num_envs, num_robots, self.num_samples, longest, n, m)
+        """Return what the loops of the robots remember, for n states and m inputs: nothing yet."""
+        of_robot = self.num_envs, self.scenario.users.num_urllc
+        return LoopMemory(
+            history=np.zeros((*of_robot, self.num_samples + 1, n)),
+            commands=np.zeros((*of_robot, self.scenario.max_delay_steps + 1, m)),
+            control=np.zeros((*of_robot, m)),
+            held=np.zeros((*of_robot, 2), np.int64),
+        )
 
     def first_value(self, model: Model, name: str) -> int:
         """Return where a field of a model's `log_fields` begins in `state.model_values[env]`.
 
-        Raises
-        ------
-        ValueError
-            If the scenario does not have this very model, or the model not this field.
+        ValueError if the scenario does not have this very model, or the model not this field.
         """
         for key in SECTIONS:
             if attrgetter(key)(self.scenario) is model:
@@ -97,13 +88,10 @@ class Model:
     A key with a default may be left out of a scenario. A `Note` in the annotation of a key says
     what it means in the table of parameters.
 
-    Attributes
-    ----------
-    log_fields
-        What it adds to the log beside the fields that all runs have, name -> unit; one number a
-        user, or a robot for a plant, every slot. Its kernels write them into
-        `state.model_values[env]`, each from `Setup.first_value` on: those that draw or rate the
-        channel for the coming slot, all others for the present one. What is not written is 0.
+    `log_fields` are what it adds to the log beside the fields that all runs have, name -> unit; one
+    number a user, or a robot for a plant, every slot. Its kernels write them into
+    `state.model_values[env]`, each from `Setup.first_value` on: those that draw or rate the channel
+    for the coming slot, all others for the present one. What is not written is 0.
     """
 
     if TYPE_CHECKING:
@@ -185,14 +173,9 @@ class Arrivals(Model):
 class Plant(Model):
     """What the robots are.
 
-    Attributes
-    ----------
-    has_pose
-        Whether robots have a position, for what looks at it.
-    chooses_loop
-        Whether `control.loop` decides what crosses the network.
-    design_keys
-        Keys on which `design` depends; None: on all.
+    `has_pose`: whether robots have a position, for what looks at it. `chooses_loop`: whether
+    `control.loop` decides what crosses the network. `design_keys`: keys on which `design` depends;
+    None: on all.
     """
 
     has_pose: ClassVar[bool] = False
@@ -216,16 +199,9 @@ M = TypeVar("M", bound=type[Model])
 
 
 class Section(Registry[type[Model]]):
-    """A place in a scenario that says which model it means, such as `radio.path_loss`.
+    """A place in a scenario that says which model it means: its dotted key, as `radio.path_loss`.
 
-    Parameters
-    ----------
-    key
-        Dotted key of the place.
-    base
-        What a model here has to be.
-    example
-        A model that needs no keys, for messages.
+    Models here are of the class `base`; `example` is one that needs no keys, for messages.
     """
 
     def __init__(self, key: str, base: type[Model], example: str) -> None:
@@ -235,11 +211,8 @@ class Section(Registry[type[Model]]):
     def model(self, cls: M) -> M:
         """Register the decorated dataclass under the name in its `model: Literal["name"]`.
 
-        Raises
-        ------
-        PluginError
-            If it has no such field, or is no frozen dataclass, or no model of this kind; or what it
-            logs has no proper name.
+        PluginError if it has no such field, or is no frozen dataclass, or no model of this kind; or
+        what it logs has no proper name.
         """
         names = get_args(get_type_hints(cls).get("model"))
         is_frozen = "__dataclass_fields__" in vars(cls) and cls.__dataclass_params__.frozen  # type: ignore[attr-defined]

@@ -67,15 +67,9 @@ def _multiplier_features(multipliers: Any, features: Any) -> None:
 def observe_worlds(constants: Any, state: Any, observe_robots: bool, features: Any) -> None:
     """Fill the features of every user of every world at the start of the coming slot.
 
-    Parameters
-    ----------
-    constants, state
-        Pointers to those of a simulator; they are read only.
-    observe_robots
-        Whether ROBOT_FEATURES follow.
-    features
-        To be filled, shape (E, U, num_features(observe_robots)), float32, URLLC users first. Slice
-        means are not among them: the networks form them.
+    `constants` and `state` are pointers to those of a simulator, read only. `features` has shape
+    (E, U, num_features(observe_robots)), float32, URLLC users first. Slice means are not among
+    them: the networks form them.
     """
     for env in range(features.shape[0]):
         observe_world(constants, state, env, observe_robots, features[env])
@@ -86,17 +80,6 @@ def observe_world(
     constants: Any, state: Any, env: int, observe_robots: bool, features: Any
 ) -> None:
     """Fill the features (U, F) of one world, as `observe_worlds` does."""
-    _observe_users(constants, state, env, features)
-    for robot in range(constants.num_urllc):
-        features[robot, 5] = F32(state.dexterity_index[env, robot])
-        features[robot, MULTIPLIER] = F32(log1p_f64(state.multiplier[env, robot]))
-    if observe_robots:
-        _observe_robots(constants, state, env, features)
-
-
-@inner_kernel()
-def _observe_users(constants: Any, state: Any, env: int, features: Any) -> None:
-    """Fill FEATURES, with 0 in all that only URLLC users have."""
     for user in range(features.shape[0]):
         rate_mbps = max(_mean(state.reported_rate_mbps[env, user]), _LEAST_RATE_MBPS)
         packets_per_prb = rate_mbps * constants.service_packets_per_mbps
@@ -111,6 +94,11 @@ def _observe_users(constants: Any, state: Any, env: int, features: Any) -> None:
         row[5] = row[MULTIPLIER] = F32(0.0)
         for feature in range(_NUM_FEATURES, features.shape[1]):
             row[feature] = F32(0.0)
+    for robot in range(constants.num_urllc):
+        features[robot, 5] = F32(state.dexterity_index[env, robot])
+        features[robot, MULTIPLIER] = F32(log1p_f64(state.multiplier[env, robot]))
+    if observe_robots:
+        _observe_robots(constants, state, env, features)
 
 
 @inner_kernel()

@@ -21,12 +21,11 @@ al. have a factor b instead of 1 / R. docs/paper_notes.md (5a) says how much of 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
 from pydantic import Field
 
-from hiersched.core.parameters import STRICT
 from hiersched.models.model import Setup
 from hiersched.policies.needs import NEEDS, expected_packets, expected_wait_s, need_mbps
 from hiersched.policies.registry import RULES, Look, Rule
@@ -38,12 +37,23 @@ if TYPE_CHECKING:
 Need = Literal["none", "backlog", "backlog_and_arrivals"]
 
 
+class _NoWords(NamedTuple):
+    """No parameters."""
+
+    none: int = 0
+
+
+class _NeedWords(NamedTuple):
+    """Code of `NEEDS`."""
+
+    need: int
+
+
 @RULES.model
 @dataclass(frozen=True, kw_only=True)
 class ProportionalFair(Rule):
     """Maximise the sum of log r, the paper's baseline; no index."""
 
-    __pydantic_config__ = STRICT
     model: Literal["pf"] = "pf"
     look: ClassVar[Look] = Look("PF", "#D55E00", (0, (4, 1.5)), "s")
     allocation = "log"
@@ -54,7 +64,6 @@ class ProportionalFair(Rule):
 class DriftPlusPenalty(Rule):
     """Minimise the slot's Lagrangian, with the arrivals at their mean; no index."""
 
-    __pydantic_config__ = STRICT
     model: Literal["drift_plus_penalty"] = "drift_plus_penalty"
     look: ClassVar[Look] = Look("drift-plus-penalty", "#CC79A7", (0, (1, 1.2)), "D")
     allocation = "lagrangian"
@@ -65,7 +74,6 @@ class DriftPlusPenalty(Rule):
 class RoundRobin(Rule):
     """PRBs go around the users; no index."""
 
-    __pydantic_config__ = STRICT
     model: Literal["round_robin"] = "round_robin"
     look: ClassVar[Look] = Look("round robin", "#56B4E9", (0, (2, 2)), "P")
     allocation = "in_turn"
@@ -76,7 +84,6 @@ class RoundRobin(Rule):
 class MaxRate(Rule):
     """Maximise the sum of r; no index."""
 
-    __pydantic_config__ = STRICT
     model: Literal["max_rate"] = "max_rate"
     look: ClassVar[Look] = Look("max rate", "#999999", (0, (8, 2)), "X")
 
@@ -86,7 +93,6 @@ class MaxRate(Rule):
 class AverageProportionalFair(Rule):
     """Maximise the sum of r / R, R the moving average: the textbook's PF."""
 
-    __pydantic_config__ = STRICT
     model: Literal["pf_average"] = "pf_average"
     look: ClassVar[Look] = Look("PF, average rate", "#E69F00", (0, (3, 1, 1, 1, 1, 1)), "v")
 
@@ -95,10 +101,8 @@ class AverageProportionalFair(Rule):
         return AverageWords()
 
 
-class AverageWords(NamedTuple):
-    """No parameters."""
-
-    none: int = 0
+class AverageWords(_NoWords):
+    """Of `AverageProportionalFair`."""
 
 
 @INDEX.kernel(AverageWords)
@@ -109,14 +113,28 @@ def index_pf_average(me: AverageWords, constants: Any, state: Any, slot: Any, en
 
 
 class _Capped(Rule):
-    """Maximises the sum of w min(r, need)."""
+    """Maximises the sum of w min(r, need); its own key `need` is that of `schedulers`."""
 
     need: Need
+    words_of: ClassVar[type[_NeedWords]]
 
     @property
     def allocation(self) -> str:
         """As in `Rule`."""
         return "linear" if self.need == "none" else "capped"
+
+    @classmethod
+    def standard(cls, scenario: Scenario) -> Any:
+        """As in `Rule`."""
+        return cls(need=getattr(scenario.schedulers, f"{cls.model}_need"))  # type: ignore[call-arg]
+
+    def words(self, setup: Setup) -> Any:
+        """As in `Model`."""
+        return self.words_of(NEEDS[self.need])
+
+
+class MaxWeightWords(_NeedWords):
+    """Of `MaxWeight`."""
 
 
 @RULES.model
@@ -124,25 +142,10 @@ class _Capped(Rule):
 class MaxWeight(_Capped):
     """w = F, the backlog."""
 
-    __pydantic_config__ = STRICT
     model: Literal["max_weight"] = "max_weight"
     look: ClassVar[Look] = Look("max-weight", "#009E73", (0, (6, 1.5, 1, 1.5)), "^")
+    words_of = MaxWeightWords
     need: Need = "backlog_and_arrivals"
-
-    @classmethod
-    def standard(cls, scenario: Scenario) -> MaxWeight:
-        """As in `Rule`."""
-        return cls(need=scenario.schedulers.max_weight_need)
-
-    def words(self, setup: Setup) -> MaxWeightWords:
-        """As in `Model`."""
-        return MaxWeightWords(NEEDS[self.need])
-
-
-class MaxWeightWords(NamedTuple):
-    """Code of `NEEDS`."""
-
-    need: int
 
 
 @INDEX.kernel(MaxWeightWords)
@@ -154,30 +157,19 @@ def index_max_weight(me: MaxWeightWords, constants: Any, state: Any, slot: Any, 
         state.index_weight[env, user] = packets
 
 
+class DelayFirstWords(_NeedWords):
+    """Of `LargestWeightedDelayFirst`."""
+
+
 @RULES.model
 @dataclass(frozen=True, kw_only=True)
 class LargestWeightedDelayFirst(_Capped):
     """M-LWDF: w = -log10(delta) / D W / R, delta the admitted late share, D the deadline."""
 
-    __pydantic_config__ = STRICT
     model: Literal["m_lwdf"] = "m_lwdf"
     look: ClassVar[Look] = Look("M-LWDF", "#7a5195", (0, (5, 1, 1, 1)), "<")
+    words_of = DelayFirstWords
     need: Need = "backlog"
-
-    @classmethod
-    def standard(cls, scenario: Scenario) -> LargestWeightedDelayFirst:
-        """As in `Rule`."""
-        return cls(need=scenario.schedulers.m_lwdf_need)
-
-    def words(self, setup: Setup) -> DelayFirstWords:
-        """As in `Model`."""
-        return DelayFirstWords(NEEDS[self.need])
-
-
-class DelayFirstWords(NamedTuple):
-    """Code of `NEEDS`."""
-
-    need: int
 
 
 @INDEX.kernel(DelayFirstWords)
@@ -196,7 +188,6 @@ def index_m_lwdf(me: DelayFirstWords, constants: Any, state: Any, slot: Any, env
 class LogRule(_Capped):
     """LOG: w = ln(c + a W / D) / R."""
 
-    __pydantic_config__ = STRICT
     model: Literal["log_rule"] = "log_rule"
     look: ClassVar[Look] = Look("log rule", "#3b3b3b", (0, (1, 2.5)), "p")
     need: Need = "backlog_and_arrivals"
@@ -207,11 +198,8 @@ class LogRule(_Capped):
     def standard(cls, scenario: Scenario) -> LogRule:
         """As in `Rule`."""
         constants = scenario.schedulers
-        return cls(
-            need=constants.log_rule_need,
-            offset=constants.log_rule_offset,
-            gain=constants.log_rule_gain,
-        )
+        rule: LogRule = super().standard(scenario)
+        return replace(rule, offset=constants.log_rule_offset, gain=constants.log_rule_gain)
 
     def words(self, setup: Setup) -> LogWords:
         """As in `Model`."""
@@ -237,30 +225,19 @@ def index_log_rule(me: LogWords, constants: Any, state: Any, slot: Any, env: int
         state.index_weight[env, user] = urgency / state.average_rate_mbps[env, user]
 
 
+class ExponentialWords(_NeedWords):
+    """Of `ExponentialProportionalFair`."""
+
+
 @RULES.model
 @dataclass(frozen=True, kw_only=True)
 class ExponentialProportionalFair(_Capped):
     """EXP/PF: exp((a W - m) / (1 + sqrt m)) / R for URLLC, m the mean a W; 1 / R for eMBB."""
 
-    __pydantic_config__ = STRICT
     model: Literal["exp_pf"] = "exp_pf"
     look: ClassVar[Look] = Look("EXP/PF", "#8c6d31", (0, (3, 3)), ">")
+    words_of = ExponentialWords
     need: Need = "backlog_and_arrivals"
-
-    @classmethod
-    def standard(cls, scenario: Scenario) -> ExponentialProportionalFair:
-        """As in `Rule`."""
-        return cls(need=scenario.schedulers.exp_pf_need)
-
-    def words(self, setup: Setup) -> ExponentialWords:
-        """As in `Model`."""
-        return ExponentialWords(NEEDS[self.need])
-
-
-class ExponentialWords(NamedTuple):
-    """Code of `NEEDS`."""
-
-    need: int
 
 
 @INDEX.kernel(ExponentialWords)
@@ -292,7 +269,6 @@ def index_exp_pf(me: ExponentialWords, constants: Any, state: Any, slot: Any, en
 class EarliestDeadlineFirst(Rule):
     """EDF: users in the order of D - W, each until its backlog is served."""
 
-    __pydantic_config__ = STRICT
     model: Literal["edf"] = "edf"
     look: ClassVar[Look] = Look("EDF", "#117733", (0, (7, 1, 2, 1)), "h")
     allocation = "by_urgency"
@@ -302,10 +278,8 @@ class EarliestDeadlineFirst(Rule):
         return DeadlineWords()
 
 
-class DeadlineWords(NamedTuple):
-    """No parameters."""
-
-    none: int = 0
+class DeadlineWords(_NoWords):
+    """Of `EarliestDeadlineFirst`."""
 
 
 @INDEX.kernel(DeadlineWords)
@@ -330,6 +304,3 @@ CLASSICAL = (
     "drift_plus_penalty",
 )
 """The classical schedulers: rules of this module that run under their own name."""
-
-CAPPED = tuple(name for name in CLASSICAL if issubclass(RULES[name], _Capped))
-"""Rules that maximise a sum of weighted rates of which a user can use only so much."""

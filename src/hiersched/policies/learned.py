@@ -21,7 +21,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from hiersched.core.compiled import inner_kernel
-from hiersched.core.numerics import F32, exp_f64, fma
+from hiersched.core.numerics import F32, copy, exp_f64, fma
 from hiersched.policies.features import num_features, observe_world
 from hiersched.policies.seams import WEIGH
 
@@ -80,24 +80,13 @@ def network_words(
     num_urllc: int,
     num_embb: int,
 ) -> SharedWords | FlatWords:
-    """Lay out a trained policy for its kernel.
+    """Lay out a trained policy for its kernel, and check its shape (ValueError).
 
-    Parameters
-    ----------
-    parameters
-        Of both actors, shape (2, P), float32; of a layer after another bias, then weights (inputs,
-        outputs).
-    network, hidden
-        ``shared`` or ``mlp``, and outputs of the hidden layers, one at least.
-    observe_robots, weight_exponent
-        Whether the features of the robots are observed; c of w = exp(c a).
-    num_urllc, num_embb
-        Users of both slices. An ``mlp`` runs on the numbers that it was trained on.
-
-    Raises
-    ------
-    ValueError
-        If there is no such network, or `parameters` is not of its shape.
+    `parameters` of both actors, shape (2, P), float32, are layer after layer biases, then weights
+    (inputs, outputs). `network` is ``shared`` or ``mlp``, `hidden` the outputs of the hidden
+    layers, one at least. `observe_robots` says whether the features of the robots are observed;
+    `weight_exponent` is c of w = exp(c a). An ``mlp`` runs on the numbers of users that it was
+    trained on.
     """
     num_users, count = num_urllc + num_embb, num_features(observe_robots)
     sizes = layer_sizes(network, hidden, count, num_urllc, num_embb)
@@ -132,10 +121,7 @@ def layer_sizes(
 ) -> tuple[int, ...]:
     """Return the inputs, the outputs of the hidden layers, and the outputs.
 
-    Raises
-    ------
-    ValueError
-        If there is no such network.
+    ValueError if there is no such network.
     """
     if network not in NETWORKS:
         raise ValueError(f"network = {network!r}: must be one of {', '.join(NETWORKS)}")
@@ -214,11 +200,11 @@ def weigh_flat(me: Any, constants: Any, state: Any, slot: Any, env: int) -> None
     first, last = me.hidden[0, : me.sizes[0]], me.hidden[-1, : me.sizes[-1]]
     for agent in range(_NUM_AGENTS):
         table = me.table[agent]
-        _copy(table[0], first)
+        copy(table[0], first)
         for user in range(num_users):
             _add_product(me.features[user], table, 1 + user * num_features, first)
         _further_layers(me, agent, 1 + num_users * num_features)
-        _copy(me.output_bias[agent], me.outputs)
+        copy(me.output_bias[agent], me.outputs)
         _add_product(last, me.output_weight[agent], 0, me.outputs)
         begin = me.first_user[agent]
         for user in range(begin, me.first_user[agent + 1]):
@@ -242,11 +228,11 @@ def _weigh_slice(me: Any, agent: int, weight: Any) -> None:
     num_features = me.features.shape[1]
     table, common = me.table[agent], me.common
     first, last = me.hidden[0, : me.sizes[0]], me.hidden[-1, : me.sizes[-1]]
-    _copy(table[0], common)
+    copy(table[0], common)
     _add_product(me.mean[agent], table, 1 + num_features, common)
     _add_product(me.mean[1 - agent], table, 1 + 2 * num_features, common)
     for user in range(me.first_user[agent], me.first_user[agent + 1]):
-        _copy(common, first)
+        copy(common, first)
         _add_product(me.features[user], table, 1, first)
         _further_layers(me, agent, 1 + 3 * num_features)
         output = _dot(last, me.output_weight[agent]) + me.output_bias[agent, 0]
@@ -264,17 +250,11 @@ def _further_layers(me: Any, agent: int, row: int) -> None:
     _relu(seen)
     for layer in range(1, me.sizes.shape[0]):
         outputs = me.hidden[layer, : me.sizes[layer]]
-        _copy(table[row], outputs)
+        copy(table[row], outputs)
         _add_product(seen, table, row + 1, outputs)
         _relu(outputs)
         row += 1 + seen.shape[0]
         seen = outputs
-
-
-@njit(inline="always")
-def _copy(source: Any, target: Any) -> None:
-    for j in range(target.shape[0]):
-        target[j] = source[j]
 
 
 @njit(inline="always")

@@ -8,23 +8,16 @@ from numba import njit
 
 from hiersched.allocation.objective import mean_arrivals
 
-NEED_NONE = 0
-NEED_BACKLOG = 1
-NEED_BACKLOG_AND_ARRIVALS = 2
-
-NEEDS = {
-    "none": NEED_NONE,
-    "backlog": NEED_BACKLOG,
-    "backlog_and_arrivals": NEED_BACKLOG_AND_ARRIVALS,
-}
+NEEDS = {"none": 0, "backlog": 1, "backlog_and_arrivals": 2}
 """Code of what caps a rule's rates, by its name in a scenario."""
+_WITH_ARRIVALS = NEEDS["backlog_and_arrivals"]
 
 
 @njit(inline="always")
 def expected_packets(constants: Any, state: Any, env: int, user: int, need: int) -> float:
     """Backlog; with mean arrivals in the need, what the queue will hold by the end of the slot."""
     packets = state.backlog_packets[env, user]
-    if need == NEED_BACKLOG_AND_ARRIVALS:
+    if need == _WITH_ARRIVALS:
         packets += mean_arrivals(
             state.rate_mbps[env, user],
             constants.offered_mbps[user],
@@ -38,9 +31,7 @@ def expected_packets(constants: Any, state: Any, env: int, user: int, need: int)
 def expected_wait_s(constants: Any, state: Any, env: int, user: int, need: int) -> float:
     """Head-of-line delay; with mean arrivals in the need, that by the end of the slot."""
     wait = state.hol_delay_s[env, user]
-    if need == NEED_BACKLOG_AND_ARRIVALS:
-        wait += constants.slot_s
-    return float(wait)
+    return float(wait + constants.slot_s if need == _WITH_ARRIVALS else wait)
 
 
 @njit(inline="always")

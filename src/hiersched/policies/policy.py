@@ -25,34 +25,17 @@ class View(NamedTuple):
     """What a base station may know at the start of a slot, in E worlds; read-only.
 
     U users, URLLC first, R robots (one a URLLC user), K PRBs. There are no arrivals of the slot.
-
-    Attributes
-    ----------
-    slot
-        Index of the slot, shape (E,).
-    rate_mbps
-        Reported rate of each user on each PRB, shape (E, U, K).
-    backlog_packets, hol_delay_s
-        Queue, and wait of its oldest packet, shape (E, U).
-    average_rate_mbps, last_rate_mbps
-        Moving average, and rate of the slot before, shape (E, U).
-    multiplier
-        Of each URLLC user's delay constraint, shape (E, R).
-    dexterity_index
-        As last reported by the robots, shape (E, R).
-    constants
-        Deadlines, slices, what is expected of the arrivals: `simulator.SlotConstants`.
     """
 
-    slot: NDArray[np.int64]
-    rate_mbps: NDArray[np.float32]
-    backlog_packets: NDArray[np.float64]
-    hol_delay_s: NDArray[np.float64]
-    average_rate_mbps: NDArray[np.float64]
-    last_rate_mbps: NDArray[np.float64]
-    multiplier: NDArray[np.float64]
-    dexterity_index: NDArray[np.float64]
-    constants: SlotConstants
+    slot: NDArray[np.int64]  # (E,) index
+    rate_mbps: NDArray[np.float32]  # (E, U, K) reported
+    backlog_packets: NDArray[np.float64]  # (E, U)
+    hol_delay_s: NDArray[np.float64]  # (E, U) wait of the oldest packet
+    average_rate_mbps: NDArray[np.float64]  # (E, U) moving
+    last_rate_mbps: NDArray[np.float64]  # (E, U) of the slot before
+    multiplier: NDArray[np.float64]  # (E, R) of each URLLC user's delay constraint
+    dexterity_index: NDArray[np.float64]  # (E, R) as last reported by the robots
+    constants: SlotConstants  # deadlines, slices, what is expected of the arrivals
 
 
 class Weights(NamedTuple):
@@ -78,20 +61,10 @@ class Policy(Protocol):
 
 
 class Weigher:
-    """A compiled policy that weighs the users of a base rule.
+    """A compiled policy that weighs the users of a base rule, by a kernel of the seam WEIGH."""
 
-    Its words have a kernel of the seam `policies.seams.WEIGH`.
-
-    Attributes
-    ----------
-    rule
-        Name of the base rule.
-    multipliers
-        Of each URLLC user's delay constraint, shape (R,), as long as the policy runs.
-    """
-
-    rule: str
-    multipliers: NDArray[np.float64]
+    rule: str  # name of the base rule
+    multipliers: NDArray[np.float64]  # (R,) of each URLLC user's delay constraint, while it runs
 
     def words(self, setup: Setup) -> Any:
         """Return the NamedTuple that its kernel gets."""
@@ -102,17 +75,9 @@ class Weigher:
 
 
 class FunctionPolicy:
-    """A Python function of a view as a policy.
+    """A Python function of a view, and `parameters`, as a policy.
 
-    Parameters
-    ----------
-    function
-        Takes a `View` and `parameters`; returns `Weights`, `Owners`, or factors of the utilities,
-        shape (E, U).
-    rule
-        Base rule of returned factors.
-    parameters
-        Further arguments.
+    It returns `Weights`, `Owners`, or factors (E, U) of the utilities of `rule`.
     """
 
     def __init__(

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
+from hiersched.allocation.in_order import TurnWords, urgency_words
+from hiersched.allocation.marginal import CAPPED, LAGRANGIAN, LINEAR, LOG, marginal_words
 from hiersched.models.model import Model, Section
 
 if TYPE_CHECKING:
@@ -26,19 +30,14 @@ class Rule(Model):
 
     Its words have a kernel of the seam `policies.seams.INDEX`; with the allocation ``own`` one of
     `ALLOCATE` instead, and with ``log`` and ``lagrangian`` it needs none. Its `faults` do not name
-    its place in the scenario.
-
-    Attributes
-    ----------
-    look
-        How figures show the rule under its own name.
+    its place in the scenario. `look` is how figures show the rule under its own name.
     """
 
     look: ClassVar[Look]
 
     @property
     def allocation(self) -> str:
-        """What the weights are of: one of `allocation.allocate.ALLOCATIONS`, or ``own``."""
+        """What the weights are of: one of `ALLOCATIONS`, or ``own``."""
         return "linear"
 
     @classmethod
@@ -49,3 +48,14 @@ class Rule(Model):
 
 RULES = Section("policies.*", Rule, "max_weight")
 """Compiled schedulers by the name in their `model: Literal["name"]`."""
+
+ALLOCATIONS: dict[str, Callable[[int, int], Any]] = {
+    "log": partial(marginal_words, LOG),
+    "linear": partial(marginal_words, LINEAR),
+    "lagrangian": partial(marginal_words, LAGRANGIAN),
+    "capped": partial(marginal_words, CAPPED),
+    "by_urgency": urgency_words,
+    "in_turn": lambda num_users, num_prb: TurnWords(),
+}
+"""Words of the allocations for U users and K PRBs: sum of w log r, w r, minus w times the
+Lagrangian, w min(r, need); users in the order of falling weight; round robin."""

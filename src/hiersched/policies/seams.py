@@ -6,7 +6,10 @@ Kernels are `kernel(me, constants, state, slot, env)`. They read `state` at the 
 
 from __future__ import annotations
 
+from hiersched.allocation import ALLOCATE
 from hiersched.core.seam import Seam
+
+__all__ = ["ALLOCATE", "INDEX", "WEIGH"]
 
 INDEX = Seam(
     "index of a rule",
@@ -19,9 +22,4 @@ WEIGH = Seam(
     "weights of a policy",
     reads="as the index; state.multiplier[env] (R,)",
     writes="state.weight[env] (U,): factors of the base rule's utilities",
-)
-ALLOCATE = Seam(
-    "allocation of a rule",
-    reads="as the index",
-    writes="slot.prb_owner (K,): every user must get a PRB or more",
 )

@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
+from hiersched.experiments.logged import BATCH_SLOTS, LoggedRun
+from hiersched.experiments.logging import RunLabel, log_block, open_log
 from hiersched.experiments.worlds import RunnablePolicy, untrained_policies
 from hiersched.log import LogError
 from hiersched.policies.find import untrained_names
-from hiersched.runs.logged import BATCH_SLOTS, LoggedRun
-from hiersched.runs.logging import RunLabel, log_block, open_log
 from hiersched.simulator import Simulator
 from hiersched.simulator.simulator import AnyPolicy
 

@@ -11,6 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hiersched.experiments.events import slot_events
+from hiersched.experiments.logged import TOPIC_OF, Batch, LoggedRun, needed_field
+from hiersched.experiments.logging import log_dims, logged_fields
 from hiersched.experiments.points import logged_delays
 from hiersched.log import LogReader, LogWriter
 from hiersched.log.schema import MODELS_TOPIC
@@ -18,9 +21,6 @@ from hiersched.models.model import model_fields
 from hiersched.policies.find import find_policy, untrained_names
 from hiersched.policies.policy import LoggedDecisions, LoggedWeights
 from hiersched.policies.registry import Rule
-from hiersched.runs.events import slot_events
-from hiersched.runs.logged import TOPIC_OF, Batch, LoggedRun, needed_field
-from hiersched.runs.logging import log_dims, logged_fields
 from hiersched.simulator import Simulator, SlotRecord
 from hiersched.simulator.simulator import AnyPolicy
 

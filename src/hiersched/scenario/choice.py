@@ -11,7 +11,7 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from hiersched.core.parameters import read_strictly
 from hiersched.models.model import Model, Section
-from hiersched.policies.imported import ImportedPolicy
+from hiersched.policies.find import ImportedPolicy
 from hiersched.policies.registry import RULES
 
 

@@ -14,8 +14,7 @@ from pydantic import ValidationError
 from hiersched.core.parameters import read_strictly
 from hiersched.core.registry import ALGORITHMS, BUILT_IN_ALGORITHMS
 from hiersched.models.model import SECTIONS
-from hiersched.policies.find import UNTRAINED, untrained_names
-from hiersched.policies.imported import ImportedPolicy
+from hiersched.policies.find import UNTRAINED, ImportedPolicy, untrained_names
 from hiersched.scenario.fault_text import own_faults
 from hiersched.scenario.reference_file import reference_faults
 from hiersched.scenario.schema import (

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hiersched.models.model import SECTIONS
-from hiersched.policies.imported import ImportedPolicy
+from hiersched.policies.find import ImportedPolicy
 from hiersched.scenario.fault_text import ScenarioError
 from hiersched.scenario.plugins import CONFIG
 from hiersched.scenario.schema import Scenario, model_at

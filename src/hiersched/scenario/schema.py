@@ -32,7 +32,7 @@ from hiersched.models.model import (
     PathLoss,
     Plant,
 )
-from hiersched.policies.imported import ImportedPolicy
+from hiersched.policies.find import ImportedPolicy
 from hiersched.policies.registry import Rule
 from hiersched.scenario.choice import chosen_from, policy_entry
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hiersched.core.randomness import world_keys
 from hiersched.scenario.schema import Scenario
-from hiersched.simulator.loop_gains import LoopGains, nominal_gains
+from hiersched.simulator.loop_gains import Gains, nominal_gains
 from hiersched.simulator.record import SlotFields
 from hiersched.simulator.simulator import AnyPolicy, Simulator
 
@@ -36,20 +36,8 @@ def check_models(
     in work, so every field is written; all numbers are finite; no draw of a world depends on a
     decision.
 
-    Parameters
-    ----------
-    scenario
-        The validated scenario.
-    policies
-        Names or policies, two or more that decide differently; unless given PF, round robin and
-        those that the scenario adds.
-    num_slots
-        Length of a run.
-
-    Raises
-    ------
-    ModelCheckError
-        If a rule is broken.
+    `policies` are names or policies, two or more that decide differently; unless given PF, round
+    robin and those that the scenario adds. ModelCheckError if a rule is broken.
     """
     if policies is None:
         policies = ("pf", "round_robin", *scenario.policies)
@@ -87,38 +75,36 @@ class _Trial:
         rng = np.random.default_rng(1)
         shape = _NUM_WORLDS, self.num_slots, self.scenario.users.num_urllc
         delays = rng.uniform(0.0, 1.2 * self.scenario.control.max_delay_s, shape)
-        simulator = self.simulator(self.keys)
-        first = simulator.run_robots(delays)._asdict()
-        simulator.reset(self.keys)
-        again = simulator.run_robots(delays)._asdict()
-        yield from _differ("`reset` leaves something of the episode before", again, first)
-        for world in range(_NUM_WORLDS):
-            alone = self.simulator(self.keys[world : world + 1])
-            fields = alone.run_robots(delays[world : world + 1])._asdict()
-            of_batch = {name: values[world : world + 1] for name, values in first.items()}
-            yield from _differ(
-                "a world in a batch differs from the same world alone", fields, of_batch
-            )
+
+        def run(simulator: Simulator, worlds: slice) -> Fields:
+            return simulator.run_robots(delays[worlds])._asdict()
+
+        yield from self._of_runs(run, run(self.simulator(self.keys), slice(None)))
 
     def of_policy(self, policy: AnyPolicy, expected: Fields) -> Iterator[str]:
         """Faults of runs that have to be the expected one."""
-        for world in range(_NUM_WORLDS):
-            alone = self.simulator(self.keys[world : world + 1]).run(policy)._asdict()
-            of_batch = {name: values[world : world + 1] for name, values in expected.items()}
-            yield from _differ(
-                "a world in a batch differs from the same world alone", alone, of_batch
-            )
-        simulator = self.simulator(self.keys[::-1])
-        left = simulator.run(policy).state[:, -1]
-        if not np.array_equal(simulator.state.robot_state, left):
-            yield "state.robot_state: must be slot.state, for policies that observe the robots"
-        simulator.reset(self.keys)
-        again = simulator.run(policy)._asdict()
-        yield from _differ("`reset` leaves something of the episode before", again, expected)
+        yield from self._of_runs(lambda simulator, _: simulator.run(policy)._asdict(), expected)
         zeros, ones = (self.run_over(policy, word) for word in (0, 2**64 - 1))
         yield from _differ("not written in every slot", zeros, ones)
         in_one_call = {name: expected[name] for name in zeros}
         yield from _differ("slots one by one are others than in one call", zeros, in_one_call)
+
+    def _of_runs(
+        self, run: Callable[[Simulator, slice], Fields], expected: Fields
+    ) -> Iterator[str]:
+        """Faults of the worlds alone, and after other worlds."""
+        for world in range(_NUM_WORLDS):
+            part = slice(world, world + 1)
+            alone = run(self.simulator(self.keys[part]), part)
+            of_batch = {name: values[part] for name, values in expected.items()}
+            yield from _differ(
+                "a world in a batch differs from the same world alone", alone, of_batch
+            )
+        simulator = self.simulator(self.keys[::-1])
+        run(simulator, slice(None))
+        simulator.reset(self.keys)
+        again = run(simulator, slice(None))
+        yield from _differ("`reset` leaves something of the episode before", again, expected)
 
     def run_over(self, policy: AnyPolicy, word: int) -> Fields:
         """Run slot by slot over a slot in work, and a coming channel, that are full of a word."""
@@ -138,7 +124,7 @@ class _Trial:
         return {name: np.concatenate([slot[name] for slot in slots], axis=1) for name in names}
 
 
-def _distinct_gains(scenario: Scenario) -> LoopGains:
+def _distinct_gains(scenario: Scenario) -> Gains:
     """Return gains of every delay that differ by a little: which one is in force shows."""
     gains = nominal_gains(scenario)
     count = len(gains.adjusted)
@@ -152,15 +138,14 @@ def _distinct_gains(scenario: Scenario) -> LoopGains:
 
 
 def _out_of_range(fields: Fields) -> list[str]:
-    return [
-        f"{name}: {values[~np.isfinite(values)][0]} in slot {_first(~np.isfinite(values))}"
-        for name, values in fields.items()
-        if not np.isfinite(values).all()
-    ] + [
-        f"{name}: {values[values < 0.0][0]:.3g} in slot {_first(values < 0.0)}"
-        for name, values in fields.items()
-        if name == "fading_power" and (values < 0.0).any()
-    ]
+    faults = []
+    for name, values in fields.items():
+        if not (fine := np.isfinite(values)).all():
+            faults.append(f"{name}: {values[~fine][0]} in slot {_first(~fine)}")
+    power = fields["fading_power"]
+    if (power < 0.0).any():
+        faults.append(f"fading_power: {power[power < 0.0][0]:.3g} in slot {_first(power < 0.0)}")
+    return faults
 
 
 def _differ(what: str, one: Fields, other: Fields) -> list[str]:

@@ -13,7 +13,7 @@ from hiersched.control.gain_schedule import DESIGN_VERSION
 from hiersched.core.extras import naming_extras
 from hiersched.scenario import Scenario, scenario_to_dict
 from hiersched.scenario.plugins import CONFIG
-from hiersched.simulator.loop_gains import LoopGains, loop_gains, plant_of
+from hiersched.simulator.loop_gains import Gains, loop_gains, plant_of
 
 SHIPPED = CONFIG / "gains"
 
@@ -89,6 +89,6 @@ def scenario_schedule(scenario: Scenario) -> GainSchedule:
     return design_schedule(scenario)
 
 
-def scenario_gains(scenario: Scenario) -> LoopGains:
+def scenario_gains(scenario: Scenario) -> Gains:
     """Return the gains of a scenario's loop, from `scenario_schedule`."""
     return loop_gains(scenario_schedule(scenario), scenario.control.gain)

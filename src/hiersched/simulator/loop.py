@@ -8,30 +8,19 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hiersched.allocation.marginal import UTILITY_CAPPED
+from hiersched.allocation.objective import delay_surrogate, offered_service, rate_penalty
 from hiersched.core.compiled import inner_kernel, kernel
-from hiersched.core.numerics import F32
+from hiersched.core.numerics import F32, copy
 from hiersched.core.randomness import STREAM_ARRIVAL, draw_uniforms
-from hiersched.core.seam import UNUSED, Plug, call_at, call_plug
+from hiersched.core.seam import UNUSED, Plug, call_plug
 from hiersched.models.plant.feedback import steps_of_delay
 from hiersched.simulator.prefetch import prefetch_third
-from hiersched.simulator.service import serve
-
-GIVEN = 0
-"""How to decide: the owners of the PRBs are given."""
-OWN = 1
-"""How to decide: a rule's kernel names the owners itself."""
-BY_UTILITY = 2
-"""How to decide: an allocation to the largest sum of weighted utilities."""
-IN_ORDER = 3
-"""How to decide: an allocation that goes through the users in an order."""
 
 
 class Plugs(NamedTuple):
-    """What is plugged into the seams (`models.seams`, `policies.seams`), and the allocation.
+    """What is plugged into the seams (`models.seams`, `policies.seams`).
 
-    `how` is GIVEN, OWN, BY_UTILITY or IN_ORDER; the two last have an allocation, whose kernel takes
-    `code`.
+    Without an allocation the owners are given; without a rule's index all users are alike.
     """
 
     path_loss: Plug
@@ -42,11 +31,8 @@ class Plugs(NamedTuple):
     arrivals: Plug
     queue: Plug
     plant: Plug
-    how: int = GIVEN
-    allocation: Plug = UNUSED
-    code: int = 0
-    rule: Plug = UNUSED
     weigh: Plug = UNUSED
+    rule: Plug = UNUSED
     allocate: Plug = UNUSED
 
 
@@ -92,58 +78,46 @@ def run_slots(
     plugs: Any,
     constants: Any,
     state: Any,
-    scratch: Any,
     one: Any,
     owners: NDArray[np.uint32],
     rows: NDArray[np.uint64],
 ) -> None:
-    """Run all worlds for as many slots as `rows` has.
+    """Run all worlds for as many slots as `rows` (E, T, words), those of a record, has.
 
-    Parameters
-    ----------
-    plugs, constants, state, scratch
-        Pointers to these; `state` moves on.
-    one
-        Pointer to the slot in work, `record.OneSlot`.
-    owners
-        For GIVEN, the owner of each PRB, shape (E, T, K); not read otherwise.
-    rows
-        Is filled: the rows of a record, shape (E, T, words).
+    The others are pointers, `one` to the slot in work, `record.OneSlot`; `state` moves on. `owners`
+    (E, T, K) is read only where there is no allocation.
     """
     slot = one.fields
     for env in range(state.key.shape[0]):
         for index in range(rows.shape[1]):
             row = rows[env, index]
             prefetch_third(row, 0)
-            _observe(constants, state, scratch, slot, env)
+            _observe(state, slot, env)
             prefetch_third(row, 1)
-            if plugs.how == GIVEN:
-                _copy(owners[env, index], slot.prb_owner)
+            if plugs.allocate.kernel == 0:
+                copy(owners[env, index], slot.prb_owner)
             else:
-                _decide(plugs, constants, state, scratch, slot, env)
-            for user in range(slot.weight.shape[0]):
-                slot.weight[user] = np.float32(state.weight[env, user])
+                _decide(plugs, constants, state, slot, env)
+            copy(state.weight[env], slot.weight)
             prefetch_third(row, 2)
-            serve(plugs, constants, state, scratch, slot, env)
+            _serve(plugs, constants, state, slot, env)
             _move_robots(plugs, constants, state, slot, env)
             # What this slot delivers is known when it has ended: the next slot's samples use it.
-            _copy(slot.network_delay_s, state.delay_s[env])
-            state.slot[env] += 1
-            _move(state.model_values[env], slot.model_values)
-            _copy(one.words, row)
+            copy(slot.network_delay_s, state.delay_s[env])
+            _end_slot(state, one, env, row)
             draw_channel(plugs, constants, state, slot, env)
         _check_robots(state.robot_state[env])
 
 
 @kernel()
 def decide_slots(
-    plugs: Any, constants: Any, state: Any, scratch: Any, one: Any, owners: NDArray[np.uint32]
+    plugs: Any, constants: Any, state: Any, one: Any, owners: NDArray[np.uint32]
 ) -> None:
     """Let a policy decide the coming slot of all worlds, which does not come: owners (E, K)."""
     for env in range(state.key.shape[0]):
-        _observe(constants, state, scratch, one.fields, env)
-        _decide(plugs, constants, state, scratch, one.fields, env)
-        _copy(one.fields.prb_owner, owners[env])
+        _observe(state, one.fields, env)
+        _decide(plugs, constants, state, one.fields, env)
+        copy(one.fields.prb_owner, owners[env])
 
 
 @kernel()
@@ -165,21 +139,12 @@ def run_robots(
     for env in range(state.key.shape[0]):
         _move(state.model_values[env], slot.model_values)  # what belongs to the channel
         for index in range(rows.shape[1]):
-            for robot in range(constants.num_urllc):
-                slot.dexterity_index[robot] = state.dexterity_index[env, robot]
-                slot.network_delay_s[robot] = network_delay_s[env, index, robot]
-                state.delay_s[env, robot] = network_delay_s[env, index, robot]
+            copy(state.dexterity_index[env], slot.dexterity_index)
+            copy(network_delay_s[env, index], slot.network_delay_s)
+            copy(network_delay_s[env, index], state.delay_s[env])
             _move_robots(plugs, constants, state, slot, env)
-            state.slot[env] += 1
-            _move(state.model_values[env], slot.model_values)
-            _copy(one.words, rows[env, index])
+            _end_slot(state, one, env, rows[env, index])
         _check_robots(state.robot_state[env])
-
-
-@njit(inline="always")
-def _copy(values: NDArray[Any], out: NDArray[Any]) -> None:
-    for i in range(values.shape[0]):
-        out[i] = values[i]
 
 
 @njit(inline="always")
@@ -188,6 +153,14 @@ def _move(values: NDArray[np.float64], out: NDArray[np.float64]) -> None:
     for i in range(values.shape[0]):
         out[i] = values[i]
         values[i] = 0.0
+
+
+@njit(inline="always")
+def _end_slot(state: Any, one: Any, env: int, row: NDArray[np.uint64]) -> None:
+    """Write the slot in work into its row; the next slot comes."""
+    state.slot[env] += 1
+    _move(state.model_values[env], one.fields.model_values)
+    copy(one.words, row)
 
 
 @inner_kernel()
@@ -211,81 +184,32 @@ def _row_mean(values: NDArray[np.float32]) -> np.float32:
 
 
 @inner_kernel(forceinline=True)
-def _observe(constants: Any, state: Any, scratch: Any, slot: Any, env: int) -> None:
+def _observe(state: Any, slot: Any, env: int) -> None:
     """Note what a policy sees of the slot, and the world's uniforms of its arrivals."""
     draw_uniforms(state.key[env], STREAM_ARRIVAL, state.slot[env], 0, slot.arrival_uniform)
-    _copy(state.fading_power[env].reshape(-1), slot.fading_power.reshape(-1))
-    terms = scratch.terms
+    copy(state.fading_power[env].reshape(-1), slot.fading_power.reshape(-1))
     for user in range(slot.rate_mbps.shape[0]):
         slot.mean_fading_power[user] = _row_mean(slot.fading_power[user])
-        backlog = state.backlog_packets[env, user]
-        terms.backlog_packets[user] = backlog
-        slot.backlog_packets[user] = backlog
-        slot.hol_delay_s[user] = state.hol_delay_s[env, user]
-        slot.average_rate_mbps[user] = state.average_rate_mbps[env, user]
-    for robot in range(constants.num_urllc):
-        dexterity, multiplier = state.dexterity_index[env, robot], state.multiplier[env, robot]
-        terms.service_offset_mbps[robot] = constants.service_coefficient_mbps * dexterity
-        terms.multiplier[robot] = multiplier
-        slot.dexterity_index[robot] = dexterity
-        slot.multiplier[robot] = multiplier
+    copy(state.backlog_packets[env], slot.backlog_packets)
+    copy(state.hol_delay_s[env], slot.hol_delay_s)
+    copy(state.average_rate_mbps[env], slot.average_rate_mbps)
+    copy(state.dexterity_index[env], slot.dexterity_index)
+    copy(state.multiplier[env], slot.multiplier)
 
 
 @inner_kernel()
-def _decide(plugs: Any, constants: Any, state: Any, scratch: Any, slot: Any, env: int) -> None:
+def _decide(plugs: Any, constants: Any, state: Any, slot: Any, env: int) -> None:
     """Let policy and rule decide who gets which PRB."""
     if plugs.weigh.kernel != 0:
         call_plug(plugs.weigh, constants, state, slot, env)
-    if plugs.how == OWN:
-        call_plug(plugs.allocate, constants, state, slot, env)
-        _check_owners(slot.prb_owner, slot.num_prb)
-        return
-    if plugs.rule.kernel == 0:
-        _copy(state.weight[env], state.index_weight[env])
-    else:
-        for user in range(slot.rate_mbps.shape[0]):  # what the kernel does not write is found
-            state.index_weight[env, user] = state.need_mbps[env, user] = np.nan
+    known = plugs.rule.kernel == 0
+    for user in range(slot.rate_mbps.shape[0]):  # what the kernel does not write is found
+        state.index_weight[env, user] = 1.0 if known else np.nan
+        state.need_mbps[env, user] = np.nan
+    if not known:
         call_plug(plugs.rule, constants, state, slot, env)
-        if plugs.how == IN_ORDER or plugs.code == UTILITY_CAPPED:
-            _check_needs(state.need_mbps[env])
-        if plugs.how == BY_UTILITY:  # an urgency is no utility: weights leave it alone
-            for user in range(slot.rate_mbps.shape[0]):
-                state.index_weight[env, user] *= state.weight[env, user]
-    _check_weights(plugs.how, state.index_weight[env])
-    call_at(
-        plugs.allocation.kernel,
-        plugs.code,
-        state.slot[env],
-        state.reported_rate_mbps[env],
-        state.index_weight[env],
-        state.need_mbps[env],
-        scratch.terms,
-        plugs.allocation.words,
-        slot.prb_owner,
-    )
-
-
-@inner_kernel()
-def _check_weights(how: int, weight: NDArray[np.float64]) -> None:
-    """Refuse what no allocation takes: factors that are negative, what is not finite."""
-    least = 0.0 if how == BY_UTILITY else -np.inf
-    wrong = 0
-    for user in range(weight.shape[0]):
-        if not (least <= weight[user] < np.inf):
-            wrong += 1
-    if wrong > 0:
-        raise ValueError("a policy gave a user a weight that is negative or not finite")
-
-
-@inner_kernel()
-def _check_needs(need: NDArray[np.float64]) -> None:
-    """Refuse needs that are negative or not there."""
-    wrong = 0
-    for user in range(need.shape[0]):
-        if not need[user] >= 0.0:
-            wrong += 1
-    if wrong > 0:
-        raise ValueError("a rule gave a user a need that is negative or not a number, or none")
+    call_plug(plugs.allocate, constants, state, slot, env)
+    _check_owners(slot.prb_owner, slot.num_prb)
 
 
 @inner_kernel()
@@ -315,6 +239,57 @@ def _check_owners(owner: NDArray[np.uint32], count: NDArray[np.uint32]) -> None:
 
 
 @inner_kernel(forceinline=True)
+def _serve(plugs: Any, constants: Any, state: Any, slot: Any, env: int) -> None:
+    """Serve a world's slot by the owners that stand in `slot`, which is filled."""
+    call_plug(plugs.deliver, constants, state, slot, env)
+    call_plug(plugs.arrivals, constants, state, slot, env)
+    forgetting, per_mbps = constants.average_forgetting, constants.service_packets_per_mbps
+    for user in range(slot.rate_mbps.shape[0]):
+        rate, average, offset = slot.rate_mbps[user], state.average_rate_mbps[env, user], 0.0
+        if user < constants.num_urllc:
+            offset = constants.service_coefficient_mbps * slot.dexterity_index[user]
+        slot.service_packets[user] = offered_service(rate, offset, per_mbps)
+        state.rate_mbps[env, user] = rate
+        state.average_rate_mbps[env, user] = average + forgetting * (rate - average)
+    call_plug(plugs.queue, constants, state, slot, env)
+    _account(constants, state, slot, env)
+
+
+@inner_kernel(forceinline=True)
+def _account(constants: Any, state: Any, slot: Any, env: int) -> None:
+    """Drift, penalty and constraint summed over the users of each slice; the rewards."""
+    num_urllc, num_users = constants.num_urllc, slot.rate_mbps.shape[0]
+    drift_urllc = drift_embb = penalty_urllc = penalty_embb = priced = 0.0
+    for user in range(num_users):
+        rate, before = slot.rate_mbps[user], slot.backlog_packets[user]
+        after = state.backlog_packets[env, user]
+        drift = 0.5 * (after * after - before * before)
+        penalty = rate_penalty(rate, constants.epsilon)
+        if user >= num_urllc:
+            drift_embb += drift
+            penalty_embb += penalty
+            continue
+        drift_urllc += drift
+        penalty_urllc += penalty
+        if constants.measured_constraint:
+            due, late = np.float64(slot.due_packets[user]), np.float64(slot.late_packets[user])
+            surplus = (constants.violation_share * due - late) / constants.mean_due_packets[user]
+        else:
+            exponent = constants.delay_exponent_per_mbps
+            surplus = delay_surrogate(rate, exponent, constants.violation_share)
+        priced += state.multiplier[env, user] * surplus
+        slot.constraint[user] = surplus
+        slot.network_delay_s[user] = slot.delay_s[user] + constants.loop.core_latency_s
+    slot.drift_urllc[()] = drift_urllc
+    slot.drift_embb[()] = drift_embb
+    slot.penalty_urllc[()] = penalty_urllc
+    slot.penalty_embb[()] = penalty_embb
+    weight, scale = constants.penalty_weight, constants.reward_scale
+    slot.reward_urllc[()] = -(drift_urllc + weight * penalty_urllc - priced) / (num_urllc * scale)
+    slot.reward_embb[()] = -(drift_embb + weight * penalty_embb) / ((num_users - num_urllc) * scale)
+
+
+@inner_kernel(forceinline=True)
 def _move_robots(plugs: Any, constants: Any, state: Any, slot: Any, env: int) -> None:
     """Move all robots through the slot with the network delays in force."""
     loop = constants.loop
@@ -324,3 +299,5 @@ def _move_robots(plugs: Any, constants: Any, state: Any, slot: Any, env: int) ->
         slot.delay_capped[robot] = 1 if steps > loop.max_delay_steps else 0
         slot.control_saturated[robot] = 0
     call_plug(plugs.plant, constants, state, slot, env)
+    copy(state.gain_delay_steps[env], slot.gain_delay_steps)
+    copy(slot.state.reshape(-1), state.robot_state[env].reshape(-1))

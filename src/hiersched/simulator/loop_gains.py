@@ -13,28 +13,23 @@ from hiersched.scenario.schema import Scenario
 
 
 @dataclass(frozen=True, kw_only=True)
-class LoopGains:
-    """Tables of u(k) = -local x(k) - network x(k-d) - sum_i input_i u(k-1-i), n states, m inputs.
+class Gains:
+    """Tables of u(k) = -local x(k) - network x(k-d) - sum_i input_i u(k-1-i).
 
-    Parameters
-    ----------
-    local_gains, network_gains
-        Gains on the present and on the delayed measurement, shape (T_max + 1, m, n) each.
-    input_gains
-        Gains on the past commands, the newest first, shape (T_max + 1, T_max, m, m).
-    adjusted
-        Whether an entry is another gain than the nominal one, shape (T_max + 1,).
+    There are n states and m inputs, and delays of up to T_max samples.
     """
 
-    local_gains: NDArray[np.float64]
-    network_gains: NDArray[np.float64]
-    input_gains: NDArray[np.float64]
-    adjusted: NDArray[np.bool_]
+    local_gains: NDArray[np.float64]  # (T_max + 1, m, n) on the present measurement
+    network_gains: NDArray[np.float64]  # (T_max + 1, m, n) on the delayed measurement
+    input_gains: NDArray[np.float64]  # (T_max + 1, T_max, m, m) on past commands, the newest first
+    adjusted: NDArray[
+        np.bool_
+    ]  # (T_max + 1,) whether an entry is another gain than the nominal one
 
     @classmethod
     def memoryless(
         cls, network_gains: NDArray[np.float64], local_gains: NDArray[np.float64] | None = None
-    ) -> LoopGains:
+    ) -> Gains:
         """Return gains without memory, nominal at T = 0: all over the network unless given."""
         local = np.zeros_like(network_gains) if local_gains is None else local_gains
         differs = (network_gains != network_gains[:1]) | (local != local[:1])
@@ -52,21 +47,19 @@ def plant_of(scenario: Scenario) -> DelayedPlant:
     return scenario.plant.design(scenario)
 
 
-def loop_gains(schedule: GainSchedule, gain: Literal["adjusted", "nominal"]) -> LoopGains:
+def loop_gains(schedule: GainSchedule, gain: Literal["adjusted", "nominal"]) -> Gains:
     """Tables of a schedule for the loop, or those of its nominal gain, whatever the delay."""
     local, network = schedule.local_gains, schedule.network_gains
-    # A schedule's own array is read-only: another type, for which the slot loop would be compiled
-    # once more.
     inputs = schedule.input_gains.copy()
     differs = (schedule.gains != schedule.nominal).any(axis=(1, 2)) | inputs.any(axis=(1, 2, 3))
     if gain == "nominal":
         (network if schedule.kind == "network" else local)[:] = schedule.nominal
         inputs[:] = 0.0
         differs[:] = False
-    return LoopGains(local_gains=local, network_gains=network, input_gains=inputs, adjusted=differs)
+    return Gains(local_gains=local, network_gains=network, input_gains=inputs, adjusted=differs)
 
 
-def nominal_gains(scenario: Scenario) -> LoopGains:
+def nominal_gains(scenario: Scenario) -> Gains:
     """Tables of the nominal gain at every delay, without designing any other."""
     plant = plant_of(scenario)
     nominal, operator = plant.nominal_gain, plant.operator_gain
@@ -75,6 +68,4 @@ def nominal_gains(scenario: Scenario) -> LoopGains:
     else:
         local, network = nominal, np.zeros_like(nominal) if operator is None else operator
     count = scenario.max_delay_steps + 1
-    return LoopGains.memoryless(
-        *(np.repeat(gain[None], count, axis=0) for gain in (network, local))
-    )
+    return Gains.memoryless(*(np.repeat(gain[None], count, axis=0) for gain in (network, local)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from llvmlite import ir
 from numba import njit, types
@@ -12,26 +12,21 @@ from numpy.typing import NDArray
 
 _WORDS_PER_LINE = 8
 
-if TYPE_CHECKING:
 
-    def _prefetch_for_write(row: NDArray[Any], word: int) -> None: ...
+@intrinsic
+def _prefetch_for_write(typing_context: Any, row: Any, word: Any) -> Any:
+    """Ask for the cache line of a word that will be written; changes nothing."""
 
-else:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array = context.make_array(signature.args[0])(context, builder, arguments[0])
+        place = builder.bitcast(builder.gep(array.data, [arguments[1]]), cgutils.voidptr_t)
+        i32 = ir.IntType(32)
+        kind = ir.FunctionType(ir.VoidType(), [cgutils.voidptr_t, i32, i32, i32])
+        prefetch = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
+        builder.call(prefetch, [place, i32(1), i32(3), i32(1)])  # write, keep close, data
+        return context.get_dummy_value()
 
-    @intrinsic
-    def _prefetch_for_write(typing_context, row, word):
-        """Ask for the cache line of a word that will be written; changes nothing."""
-
-        def generate(context, builder, signature, arguments):
-            array = context.make_array(signature.args[0])(context, builder, arguments[0])
-            place = builder.bitcast(builder.gep(array.data, [arguments[1]]), cgutils.voidptr_t)
-            i32 = ir.IntType(32)
-            kind = ir.FunctionType(ir.VoidType(), [cgutils.voidptr_t, i32, i32, i32])
-            prefetch = cgutils.get_or_insert_function(builder.module, kind, "llvm.prefetch.p0")
-            builder.call(prefetch, [place, i32(1), i32(3), i32(1)])  # write, keep close, data
-            return context.get_dummy_value()
-
-        return types.none(row, types.intp), generate
+    return types.none(row, types.intp), generate
 
 
 @njit(inline="always")

@@ -1,162 +1,75 @@
-"""From a scenario and a gain schedule to the constants and the state of the slot loop."""
+"""From a scenario and gains to the constants and the state of the slot loop."""
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.allocation.objective import UserTerms
-from hiersched.models.model import Belief, Setup, num_model_values
+from hiersched.models.model import Belief, Model, Setup, num_model_values
 from hiersched.models.plant.feedback import LoopConstants
 from hiersched.scenario.schema import Scenario
-
-
-class Gains(Protocol):
-    """What the slot loop needs of a schedule: tables for T = 0 … T_max (`simulator.loop_gains`)."""
-
-    @property
-    def local_gains(self) -> NDArray[np.float64]:
-        """Gains on the present measurement."""
-        ...
-
-    @property
-    def network_gains(self) -> NDArray[np.float64]:
-        """Gains on the delayed measurement."""
-        ...
-
-    @property
-    def input_gains(self) -> NDArray[np.float64]:
-        """Gains on past commands, the newest first."""
-        ...
-
-    @property
-    def adjusted(self) -> NDArray[np.bool_]:
-        """Whether an entry is another gain than the nominal one."""
-        ...
+from hiersched.simulator.loop_gains import Gains
 
 
 class SlotConstants(NamedTuple):
-    """What does not change during a run. Arrays have shape (U,), URLLC users first.
+    """What does not change during a run; R robots (one a URLLC user), U users, URLLC first."""
 
-    Attributes
-    ----------
-    num_urllc, num_prb
-        R and K.
-    slot_s
-        Length of a slot [s].
-    deadline_s, deadline_slots, late_share
-        Deadline [s] and [slots], and the share of packets that may miss it.
-    offered_mbps, rate_sensitivity, arrival_packets_per_mbps, mean_due_packets
-        What the base station expects of the arrivals (`models.model.Belief`).
-    service_packets_per_mbps, service_coefficient_mbps
-        Packets a slot at 1 Mbit/s; beta of the service r - beta DI.
-    penalty_weight, epsilon, delay_exponent_per_mbps, violation_share, measured_constraint
-        V, epsilon, alpha_1 D_max and 1 - chi of the objective; whether the constraint is on late
-        shares.
-    average_forgetting
-        1 / window of the moving average rate.
-    reward_scale
-        Rewards are divided by it.
-    loop
-        Gains, delays and latency of the robots' loops.
-    """
-
-    num_urllc: int
-    num_prb: int
+    num_urllc: int  # R
+    num_prb: int  # K
     slot_s: float
-    deadline_s: NDArray[np.float64]
-    deadline_slots: NDArray[np.float64]
-    late_share: NDArray[np.float64]
-    offered_mbps: NDArray[np.float64]
-    rate_sensitivity: NDArray[np.float64]
-    arrival_packets_per_mbps: NDArray[np.float64]
-    mean_due_packets: NDArray[np.float64]
-    service_packets_per_mbps: float
-    service_coefficient_mbps: float
-    penalty_weight: float
+    deadline_s: NDArray[np.float64]  # (U,)
+    deadline_slots: NDArray[np.float64]  # (U,)
+    late_share: NDArray[np.float64]  # (U,) share of packets that may miss the deadline
+    offered_mbps: NDArray[np.float64]  # (U,) this and the next three: `models.model.Belief`
+    rate_sensitivity: NDArray[np.float64]  # (U,)
+    arrival_packets_per_mbps: NDArray[np.float64]  # (U,)
+    mean_due_packets: NDArray[np.float64]  # (U,)
+    service_packets_per_mbps: float  # packets a slot at 1 Mbit/s
+    service_coefficient_mbps: float  # beta of the service r - beta DI
+    penalty_weight: float  # V
     epsilon: float
-    delay_exponent_per_mbps: float
-    violation_share: float
-    measured_constraint: bool
-    average_forgetting: float
-    reward_scale: float
-    loop: LoopConstants
+    delay_exponent_per_mbps: float  # alpha_1 D_max
+    violation_share: float  # 1 - chi
+    measured_constraint: bool  # whether the constraint is on late shares
+    average_forgetting: float  # 1 / window of the moving average rate
+    reward_scale: float  # rewards are divided by it
+    loop: LoopConstants  # gains, delays and latency of the robots' loops
 
 
 class SlotState(NamedTuple):
-    """What evolves, one row an environment; the channel is that of the coming slot.
+    """What evolves, one row an environment; the channel is that of the coming slot."""
 
-    Attributes
-    ----------
-    key, slot
-        World, and index of the coming slot, shape (E,).
-    snr
-        Signal-to-noise ratio at unit fading power, each user's K times, shape (E, U K), linear.
-    fading_power
-        Squared amplitudes, shape (E, U, K), float32.
-    prb_rate_mbps, reported_rate_mbps
-        What each PRB carries for each user and what policies are told, shape (E, U, K), float32:
-        one array where nothing reports.
-    backlog_packets, hol_delay_s, average_rate_mbps, rate_mbps
-        At the start of the coming slot; the last is that of the slot before; shape (E, U).
-    multiplier
-        Of each URLLC user's delay constraint, shape (E, R).
-    weight, index_weight, need_mbps
-        Factors of the utilities by a policy, what the rule's utilities are multiplied with (or
-        urgencies), and the rate that a user can use of the slot, shape (E, U).
-    delay_s, dexterity_index, gain_delay_steps
-        In force for each robot, shape (E, R); the last is the delay whose adjusted gain is in
-        force, 0 for the nominal gain.
-    robot_state
-        Of each robot at the end of the last slot, shape (E, R, N).
-    model_values
-        What models add to the record of the slot (`Model.log_fields`), shape (E, X); 0 until
-        written.
-    """
-
-    key: NDArray[np.uint64]
-    slot: NDArray[np.int64]
-    snr: NDArray[np.float64]
-    fading_power: NDArray[np.float32]
-    prb_rate_mbps: NDArray[np.float32]
-    reported_rate_mbps: NDArray[np.float32]
-    backlog_packets: NDArray[np.float64]
-    hol_delay_s: NDArray[np.float64]
-    average_rate_mbps: NDArray[np.float64]
-    rate_mbps: NDArray[np.float64]
-    multiplier: NDArray[np.float64]
-    weight: NDArray[np.float64]
-    index_weight: NDArray[np.float64]
-    need_mbps: NDArray[np.float64]
-    delay_s: NDArray[np.float64]
-    dexterity_index: NDArray[np.float64]
-    gain_delay_steps: NDArray[np.uint32]
-    robot_state: NDArray[np.float64]
-    model_values: NDArray[np.float64]
-
-
-class SlotScratch(NamedTuple):
-    """Work arrays of the slot loop."""
-
-    terms: UserTerms
+    key: NDArray[np.uint64]  # (E,) world
+    slot: NDArray[np.int64]  # (E,) index of the coming slot
+    snr: NDArray[np.float64]  # (E, U K) at unit fading power, each user's K times, linear
+    fading_power: NDArray[np.float32]  # (E, U, K) squared amplitudes
+    prb_rate_mbps: NDArray[np.float32]  # (E, U, K) what each PRB carries for each user
+    reported_rate_mbps: NDArray[
+        np.float32
+    ]  # what policies are told; the same where nothing reports
+    backlog_packets: NDArray[np.float64]  # (E, U) at the start of the coming slot
+    hol_delay_s: NDArray[np.float64]  # (E, U) likewise
+    average_rate_mbps: NDArray[np.float64]  # (E, U) likewise
+    rate_mbps: NDArray[np.float64]  # (E, U) of the slot before
+    multiplier: NDArray[np.float64]  # (E, R) of each URLLC user's delay constraint
+    weight: NDArray[np.float64]  # (E, U) factors of the utilities by a policy
+    index_weight: NDArray[np.float64]  # (E, U) of the rule's utilities, or urgencies
+    need_mbps: NDArray[np.float64]  # (E, U) rate that a user can use of the slot
+    delay_s: NDArray[np.float64]  # (E, R) in force
+    dexterity_index: NDArray[np.float64]  # (E, R) in force
+    gain_delay_steps: NDArray[np.uint32]  # (E, R) delay whose adjusted gain is in force, 0: nominal
+    robot_state: NDArray[np.float64]  # (E, R, N) at the end of the last slot
+    model_values: NDArray[np.float64]  # (E, X) for the record (`Model.log_fields`); 0 until written
 
 
 def slot_constants(scenario: Scenario, gains: Gains) -> SlotConstants:
     """Constants of a run.
 
-    Parameters
-    ----------
-    scenario
-        The validated scenario.
-    gains
-        Gains for every delay up to `scenario.max_delay_steps`.
-
-    Raises
-    ------
-    ValueError
-        If the gains do not cover the scenario's delays, or the belief is not one of every user.
+    ValueError if the gains do not cover the delays up to `scenario.max_delay_steps`, or the belief
+    is not one of every user.
     """
     radio, traffic, objective = scenario.radio, scenario.traffic, scenario.objective
     belief = _belief(scenario)
@@ -182,7 +95,7 @@ def slot_constants(scenario: Scenario, gains: Gains) -> SlotConstants:
         measured_constraint=objective.constraint == "measured",
         average_forgetting=1.0 / scenario.schedulers.average_window_slots,
         reward_scale=scenario.learning.reward_scale,
-        loop=loop_constants(scenario, gains),
+        loop=_loop_constants(scenario, gains),
     )
 
 
@@ -206,14 +119,8 @@ def _near_integer(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(np.abs(values - rounded) < 1e-9 * np.maximum(1.0, rounded), rounded, values)
 
 
-def loop_constants(scenario: Scenario, gains: Gains) -> LoopConstants:
-    """Constants of the robots' loops.
-
-    Raises
-    ------
-    ValueError
-        If the gains do not cover the scenario's delays.
-    """
+def _loop_constants(scenario: Scenario, gains: Gains) -> LoopConstants:
+    """Return the constants of the robots' loops."""
     count = scenario.max_delay_steps + 1
     n, m, _ = scenario.robot_sizes
     shapes = {
@@ -223,8 +130,7 @@ def loop_constants(scenario: Scenario, gains: Gains) -> LoopConstants:
     }
     tables = {}
     for name, shape in shapes.items():
-        # A schedule's own arrays are read-only: another type, for which the kernels would be
-        # compiled once more.
+        # An array that is read-only would be another type, for which kernels are compiled anew.
         table = np.array(getattr(gains, name), np.float64)
         if table.shape != shape:
             raise ValueError(f"{name}: shape {table.shape}, must be {shape}")
@@ -242,47 +148,36 @@ def loop_constants(scenario: Scenario, gains: Gains) -> LoopConstants:
 
 def slot_state(setup: Setup, *, has_report: bool) -> SlotState:
     """Arrays of a run's state; `reset_state` fills them."""
-    scenario, num_envs = setup.scenario, setup.num_envs
-    num_users, num_prb = scenario.num_users, scenario.radio.num_prb
-    num_robots, num_states = scenario.users.num_urllc, scenario.robot_sizes[0]
-
-    def users() -> NDArray[np.float64]:
-        return np.zeros((num_envs, num_users))
-
-    def robots() -> NDArray[np.float64]:
-        return np.zeros((num_envs, num_robots))
-
-    def prbs() -> NDArray[np.float32]:
-        return np.zeros((num_envs, num_users, num_prb), np.float32)
-
-    rate = prbs()
-    return SlotState(
-        key=np.zeros(num_envs, np.uint64),
-        slot=np.zeros(num_envs, np.int64),
-        snr=np.zeros((num_envs, num_users * num_prb)),
-        fading_power=prbs(),
-        prb_rate_mbps=rate,
-        reported_rate_mbps=prbs() if has_report else rate,
-        backlog_packets=users(),
-        hol_delay_s=users(),
-        average_rate_mbps=users(),
-        rate_mbps=users(),
-        multiplier=robots(),
-        weight=users(),
-        index_weight=users(),
-        need_mbps=users(),
-        delay_s=robots(),
-        dexterity_index=robots(),
-        gain_delay_steps=np.zeros((num_envs, num_robots), np.uint32),
-        robot_state=np.zeros((num_envs, num_robots, num_states)),
-        model_values=np.zeros((num_envs, num_model_values(scenario))),
+    scenario, num_envs, num_prb = setup.scenario, setup.num_envs, setup.scenario.radio.num_prb
+    of_users, of_robots = (num_envs, scenario.num_users), (num_envs, scenario.users.num_urllc)
+    of_prbs = (*of_users, num_prb)
+    shapes: dict[str, tuple[int, ...]] = {
+        "key": (num_envs,),
+        "slot": (num_envs,),
+        "snr": (num_envs, scenario.num_users * num_prb),
+        "fading_power": of_prbs,
+        "prb_rate_mbps": of_prbs,
+        "reported_rate_mbps": of_prbs,
+        **dict.fromkeys(("multiplier", "delay_s", "dexterity_index"), of_robots),
+        "gain_delay_steps": of_robots,
+        "robot_state": (*of_robots, scenario.robot_sizes[0]),
+        "model_values": (num_envs, num_model_values(scenario)),
+    }
+    types: dict[str, Any] = {"key": np.uint64, "slot": np.int64, "gain_delay_steps": np.uint32}
+    types |= dict.fromkeys(("fading_power", "prb_rate_mbps", "reported_rate_mbps"), np.float32)
+    state = SlotState(
+        *(
+            np.zeros(shapes.get(name, of_users), types.get(name, np.float64))
+            for name in SlotState._fields
+        )
     )
+    return state if has_report else state._replace(reported_rate_mbps=state.prb_rate_mbps)
 
 
 def reset_state(state: SlotState, scenario: Scenario, keys: NDArray[np.uint64]) -> None:
     """Empty queues and robots on their reference in the worlds `keys` (E,), in place.
 
-    The signal-to-noise ratios and the channel of slot 0 are not there yet: `Simulator` does that.
+    The channel of slot 0 is not there yet.
     """
     for values in state:
         values[...] = 0
@@ -290,3 +185,36 @@ def reset_state(state: SlotState, scenario: Scenario, keys: NDArray[np.uint64]) 
     state.weight[:] = 1.0
     state.delay_s[:] = scenario.robot.core_latency_s  # until the network has delivered something
     state.dexterity_index[:] = scenario.robot.initial_dexterity_index
+    state.snr[:] = _snr_at_unit_fading(scenario, keys)
+
+
+def models_of(scenario: Scenario) -> dict[str, Model]:
+    """Return the models of a scenario by their place in the slot loop."""
+    radio, traffic = scenario.radio, scenario.traffic
+    return {
+        "path_loss": radio.path_loss,
+        "fading": radio.fading,
+        "link": radio.link,
+        "report": radio.report,
+        "arrivals": traffic.arrivals,
+        "queue": traffic.queue,
+        "plant": scenario.plant,
+    }
+
+
+def _snr_at_unit_fading(scenario: Scenario, keys: NDArray[np.uint64]) -> NDArray[np.float64]:
+    """Signal-to-noise ratios p g / noise, each user's K times, shape (E, U K), linear."""
+    radio, shape = scenario.radio, (scenario.num_users,)
+    power, noise = (
+        1e-3 * math.pow(10.0, level_dbm / 10.0)
+        for level_dbm in (radio.tx_power_dbm, radio.noise_dbm)
+    )
+    gains = [np.asarray(radio.path_loss.gain(int(key), scenario.num_users)) for key in keys]
+    for gain in gains:
+        if gain.shape != shape or not (np.isfinite(gain).all() and (gain > 0.0).all()):
+            kind = type(radio.path_loss)
+            raise ValueError(
+                f"{kind.__module__}.{kind.__qualname__}.gain returned {gain}: must be positive and "
+                f"finite, shape {shape}"
+            )
+    return np.repeat(power / noise * np.array(gains, np.float64), radio.num_prb, axis=1)

@@ -3,28 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from numba import typeof, types
+from numba import typeof
 from numpy.typing import NDArray
 
-from hiersched.allocation.allocate import ALLOCATIONS, AllocatorScratch, allocator_scratch
-from hiersched.allocation.objective import user_terms
 from hiersched.core.pointer import Pointer
-from hiersched.core.seam import UNUSED, KernelError, Plug, Seam, address_of
+from hiersched.core.seam import UNUSED, KernelError, Plug, Seam
 from hiersched.models import seams
 from hiersched.models.model import Model, Setup, num_model_values
 from hiersched.policies.features import num_features, observe_worlds
 from hiersched.policies.find import find_policy
 from hiersched.policies.policy import LoggedDecisions, Owners, Policy, View, Weigher, Weights
-from hiersched.policies.registry import Rule
+from hiersched.policies.registry import ALLOCATIONS, Rule
 from hiersched.policies.seams import ALLOCATE, INDEX, WEIGH
 from hiersched.scenario.schema import Scenario
 from hiersched.simulator.loop import (
-    BY_UTILITY,
-    IN_ORDER,
-    OWN,
     Plugs,
     decide_slots,
     draw_channels,
@@ -32,13 +27,12 @@ from hiersched.simulator.loop import (
     run_robots,
     run_slots,
 )
-from hiersched.simulator.models import models_of, snr_at_unit_fading
+from hiersched.simulator.loop_gains import Gains
 from hiersched.simulator.record import SlotLayout, SlotRecord
 from hiersched.simulator.setup import (
-    Gains,
     SlotConstants,
-    SlotScratch,
     SlotState,
+    models_of,
     reset_state,
     slot_constants,
     slot_state,
@@ -48,27 +42,11 @@ AnyPolicy = str | Rule | Weigher | Policy | LoggedDecisions
 """Name of a rule, or a policy of one of the forms in `policies.policy`."""
 
 
-class _Prepared(NamedTuple):
-    """A compiled policy, ready for a simulator: its plugs, what they lie in, and what to reset."""
-
-    plugs: Pointer
-    kept: tuple[Pointer, ...]
-    parts: tuple[tuple[Rule | Weigher, Any], ...]
-
-
 class Simulator:
-    """A batch of worlds that share one scenario.
+    """A batch of worlds that share one scenario, until `num_slots` slots have run.
 
-    Parameters
-    ----------
-    scenario
-        The validated scenario.
-    gains
-        Gain schedule of the robots.
-    keys
-        Worlds, shape (E,), from `randomness.world_key`.
-    num_slots
-        Slots until the horizon.
+    `keys`, shape (E,), are worlds from `randomness.world_key`. ValueError if gains and scenario do
+    not fit.
 
     Attributes
     ----------
@@ -80,11 +58,6 @@ class Simulator:
         What policies in Python are shown.
     slot_in_work
         The memory in which the kernels form a slot, whose words go into the record.
-
-    Raises
-    ------
-    ValueError
-        If gains and scenario do not fit.
     """
 
     def __init__(
@@ -106,45 +79,60 @@ class Simulator:
             num_model_values(scenario),
         )
         self.slot_in_work = one = self._layout.slot()
-        self._scratch = Pointer(SlotScratch(terms=user_terms(self.constants)))
-        self._allocator: AllocatorScratch = allocator_scratch(
-            scenario.num_users, scenario.radio.num_prb
-        )
         self._constants, self._state = Pointer(self.constants), Pointer(self.state)
         self._one, self._slot = Pointer(one), Pointer(one.fields)
-        self._plugged: list[Pointer] = []
-        self._plugs = self._plug_models()
+        self._kept: list[Pointer] = []  # what lies behind the addresses in plugs
+        self._plugs = Plugs(
+            path_loss=self._plug_model(seams.MOVE_USERS, "path_loss", needed=False),
+            fading=self._plug_model(seams.DRAW_FADING, "fading"),
+            link=self._plug_model(seams.RATE_PRBS, "link"),
+            report=self._plug_model(seams.REPORT, "report", needed=False),
+            deliver=self._plug_model(seams.DELIVER, "link"),
+            arrivals=self._plug_model(seams.OFFER, "arrivals"),
+            queue=self._plug_model(seams.SERVE, "queue"),
+            plant=self._plug_model(seams.DRIVE, "plant"),
+        )
+        self._models = Pointer(self._plugs)
         self._no_owners = np.zeros((0, 0, 0), np.uint32)
-        self._prepared: dict[Hashable, _Prepared] = {}
-        self._bases: dict[str, Rule] = {}
-        # Compiled functions themselves: a dispatcher looks at the type of every argument in every
-        # call, which takes longer than a slot.
-        self._entry: Any = None
-        self._observe: Any = None
+        self._prepared: dict[Hashable, Pointer] = {}
+        self._policies: list[tuple[Rule | Weigher, Any]] = []  # compiled, and their words
+        self._entries: dict[Any, Any] = {}
         self.reset(keys)
 
-    def _plug(self, seam: Seam, name: str, *, needed: bool = True) -> Plug:
-        """Plug a model into a seam; UNUSED where it has no kernel and needs none."""
-        words = self.words[name]
+    def _plug(self, seam: Seam, model: Any, words: Any, *, needed: bool = True) -> Plug:
+        """Plug words into a seam; UNUSED where there are none and the seam needs none."""
         if words is None:
             if needed:
-                raise _no_words(self.models[name], seam)
+                kind = type(model)
+                raise KernelError(
+                    f"{kind.__module__}.{kind.__qualname__}: its `words` returns None: must be the "
+                    f"NamedTuple of its kernel for the seam {seam.name}"
+                )
             return UNUSED
         plug, pointer = seam.plug(words, self._constants, self._state, self._slot)
-        self._plugged.append(pointer)
+        self._kept.append(pointer)
         return plug
 
-    def _plug_models(self) -> Plugs:
-        return Plugs(
-            path_loss=self._plug(seams.MOVE_USERS, "path_loss", needed=False),
-            fading=self._plug(seams.DRAW_FADING, "fading"),
-            link=self._plug(seams.RATE_PRBS, "link"),
-            report=self._plug(seams.REPORT, "report", needed=False),
-            deliver=self._plug(seams.DELIVER, "link"),
-            arrivals=self._plug(seams.OFFER, "arrivals"),
-            queue=self._plug(seams.SERVE, "queue"),
-            plant=self._plug(seams.DRIVE, "plant"),
-        )
+    def _plug_model(self, seam: Seam, name: str, *, needed: bool = True) -> Plug:
+        return self._plug(seam, self.models[name], self.words[name], needed=needed)
+
+    def _plug_policy(self, seam: Seam, policy: Rule | Weigher, *, needed: bool = True) -> Plug:
+        words = policy.words(self.setup)
+        plug = self._plug(seam, policy, words, needed=needed)
+        if words is not None:
+            self._policies.append((policy, words))
+            policy.reset(words, self.state.key)
+        return plug
+
+    def _call(self, kernel: Any, *arguments: Any) -> None:
+        """Call a kernel, compiled for what it is given the first time.
+
+        A dispatcher looks at the type of every argument in every call, which takes longer than a
+        slot.
+        """
+        if kernel not in self._entries:
+            self._entries[kernel] = kernel.compile(tuple(map(typeof, arguments)))
+        self._entries[kernel](*arguments)
 
     @property
     def num_envs(self) -> int:
@@ -157,25 +145,16 @@ class Simulator:
         return self.num_slots - int(self.state.slot.max())
 
     def reset(self, keys: NDArray[np.uint64]) -> None:
-        """Start anew in the worlds `keys`, shape (E,).
-
-        Raises
-        ------
-        ValueError
-            If the number of worlds differs.
-        """
+        """Start anew in the worlds `keys`, shape (E,); ValueError if their number differs."""
         if len(keys) != self.num_envs:
             raise ValueError(f"{len(keys)} worlds, must be {self.num_envs}")
         keys = np.array(keys, np.uint64)
         reset_state(self.state, self.scenario, keys)
-        for name, model in self.models.items():
-            if self.words[name] is not None:
-                model.reset(self.words[name], keys)
-        for prepared in self._prepared.values():
-            for policy, words in prepared.parts:
-                policy.reset(words, keys)
-        self.state.snr[:] = snr_at_unit_fading(self.scenario, keys)
-        draw_channels(Pointer(self._plugs), self._constants, self._state, self._slot)
+        parts = [(model, self.words[name]) for name, model in self.models.items()]
+        for model, words in (*parts, *self._policies):
+            if words is not None:
+                model.reset(words, keys)
+        self._call(draw_channels, self._models, self._constants, self._state, self._slot)
 
     def run(
         self,
@@ -186,29 +165,16 @@ class Simulator:
         multipliers: NDArray[np.float64] | None = None,
         record: SlotRecord | None = None,
     ) -> SlotRecord:
-        """Run all worlds under a policy.
+        """Run all worlds under a policy: the name of one, or one of any form.
 
-        Parameters
-        ----------
-        policy
-            Name of a compiled rule, or a policy of any form.
-        num_slots
-            Slots to run; unless given those of the decisions or of the record, or up to the
-            horizon.
-        weights
-            Factors of the users' utilities under a rule, shape (E, U), held for all these slots; 1
-            unless given. Round robin and EDF have no utility and leave them unused.
-        multipliers
-            Multiplier of each URLLC user's delay constraint, shape (E, R); those of the policy
-            unless given, or 0.
-        record
-            Is filled and returned; a new one unless given.
+        It runs `num_slots` slots; unless given those of the decisions or of the record, or up to
+        the horizon. `record` is filled and returned; a new one unless given. `weights` (E, U) are
+        factors of the users' utilities under a rule, held for all these slots, 1 unless given;
+        round robin and EDF have no utility and leave them unused. `multipliers` (E, R) are those of
+        each URLLC user's delay constraint; those of the policy unless given, or 0.
 
-        Raises
-        ------
-        ValueError
-            On an unknown policy, weights that are not positive and finite, owners that are not
-            there or leave a user without a PRB, or slots beyond the horizon.
+        ValueError on an unknown policy, weights that are not positive and finite, owners that are
+        not there or leave a user without a PRB, or slots beyond the horizon.
         """
         if isinstance(policy, str):
             policy = find_policy(self.scenario, policy)
@@ -217,10 +183,9 @@ class Simulator:
         record = self._record(num_slots, record)
         self._set(policy, weights, multipliers)
         if isinstance(policy, LoggedDecisions):
-            owners = self._owners(policy.prb_owner, num_slots)
-            self._call(self._prepare(None), owners, record)
+            self._run(None, record, self._owners(policy.prb_owner, num_slots))
         elif isinstance(policy, Rule | Weigher):
-            self._call(self._prepare(policy), self._no_owners, record)
+            self._run(policy, record)
         elif isinstance(policy, Policy):
             self._by_slot(policy, record)
         else:
@@ -228,13 +193,7 @@ class Simulator:
         return record
 
     def rule(self, name: str) -> Rule:
-        """Return a rule as it runs under its own name.
-
-        Raises
-        ------
-        ValueError
-            If there is none.
-        """
+        """Return a rule as it runs under its own name; ValueError if there is none."""
         rule = find_policy(self.scenario, name)
         if not isinstance(rule, Rule):
             raise ValueError(f"rule = {name!r}: a policy that calls Python, not a compiled rule")
@@ -321,111 +280,62 @@ class Simulator:
             raise ValueError(f"{wanted}; user {user} of world {env} has none")
         return np.ascontiguousarray(prb_owner, dtype=np.uint32)
 
-    def _prepare(self, policy: Rule | Weigher | None) -> _Prepared:
+    def _prepare(self, policy: Rule | Weigher | str | None) -> Pointer:
         """Compile a policy, or load it; once for this simulator. None: owners are given."""
         if policy not in self._prepared:
-            plugs: dict[str, Any] = {}
-            kept: list[Pointer] = []
-            parts: list[tuple[Rule | Weigher, Any]] = []
-            if policy is not None:
-                rule = self.rule(policy.rule) if isinstance(policy, Weigher) else policy
-                if rule.allocation == "own":
-                    plugs |= {
-                        "how": OWN,
-                        "allocate": self._plug_policy(ALLOCATE, rule, kept, parts),
-                    }
-                else:
-                    plugs |= self._allocation(rule.allocation, kept)
-                    plugs["rule"] = self._plug_policy(INDEX, rule, kept, parts)
-                if isinstance(policy, Weigher):
-                    plugs["weigh"] = self._plug_policy(WEIGH, policy, kept, parts)
-            pointer = Pointer(self._plugs._replace(**plugs))
-            self._prepared[policy] = _Prepared(pointer, tuple(kept), tuple(parts))
+            if isinstance(policy, str):
+                self._prepared[policy] = self._prepare(self.rule(policy))
+            else:
+                plugs = {} if policy is None else self._plugs_of(policy)
+                self._prepared[policy] = Pointer(self._plugs._replace(**plugs))
         return self._prepared[policy]
 
-    def _plug_policy(
-        self,
-        seam: Seam,
-        policy: Rule | Weigher,
-        kept: list[Pointer],
-        parts: list[tuple[Rule | Weigher, Any]],
-    ) -> Plug:
-        words = policy.words(self.setup)
-        if words is None:
-            if seam is ALLOCATE:
-                raise _no_words(policy, seam)
-            return UNUSED
-        plug, pointer = seam.plug(words, self._constants, self._state, self._slot)
-        kept.append(pointer)
-        parts.append((policy, words))
-        policy.reset(words, self.state.key)
-        return plug
-
-    def _allocation(self, name: str, kept: list[Pointer]) -> dict[str, Any]:
-        """Plugs of an allocation."""
-        if name not in ALLOCATIONS:
+    def _plugs_of(self, policy: Rule | Weigher) -> dict[str, Plug]:
+        if isinstance(policy, Weigher):
+            plugs = self._plugs_of(self.rule(policy.rule))
+            return {**plugs, "weigh": self._plug_policy(WEIGH, policy)}
+        if policy.allocation == "own":
+            return {"allocate": self._plug_policy(ALLOCATE, policy)}
+        if policy.allocation not in ALLOCATIONS:
             raise ValueError(
-                f"allocation = {name!r}: must be one of {', '.join(ALLOCATIONS)}, or own"
+                f"allocation = {policy.allocation!r}: must be one of {', '.join(ALLOCATIONS)}, or "
+                "own"
             )
-        allocation = ALLOCATIONS[name]
-        scratch = Pointer(getattr(self._allocator, allocation.scratch))
-        terms = Pointer(self._scratch.value.terms).kind
-        integer, real = types.int64, types.float64[::1]
-        kinds = (integer, integer, types.float32[:, ::1], real, real, terms, scratch.kind)
-        kept.append(scratch)
+        scenario = self.scenario
+        words = ALLOCATIONS[policy.allocation](scenario.num_users, scenario.radio.num_prb)
         return {
-            "how": BY_UTILITY if allocation.has_utility else IN_ORDER,
-            "code": allocation.code,
-            "allocation": Plug(
-                address_of(allocation.kernel, (*kinds, types.uint32[::1])), scratch.address
-            ),
+            "allocate": self._plug(ALLOCATE, policy, words),
+            "rule": self._plug_policy(INDEX, policy, needed=False),
         }
 
-    def _call(self, prepared: _Prepared, owners: NDArray[np.uint32], record: SlotRecord) -> None:
-        """Run as many slots as the record has."""
-        arguments = (
-            prepared.plugs,
-            self._constants,
-            self._state,
-            self._scratch,
-            self._one,
-            owners,
-            record.rows,
-        )
-        if self._entry is None:
-            self._entry = run_slots.compile(tuple(map(typeof, arguments)))
-        self._entry(*arguments)
+    def _run(
+        self,
+        policy: Rule | Weigher | str | None,
+        record: SlotRecord,
+        owners: NDArray[np.uint32] | None = None,
+    ) -> None:
+        """Run as many slots as the record has, under a compiled policy or by given owners."""
+        where = self._prepare(policy), self._constants, self._state, self._one
+        self._call(run_slots, *where, self._no_owners if owners is None else owners, record.rows)
 
     def set_channel(self, fading_power: NDArray[np.float32]) -> None:
         """Put squared amplitudes, shape (E, U, K), in place of the coming slot's channel."""
         self.state.fading_power[:] = fading_power
-        where = self._constants, self._state, self._slot
-        rate_channels(Pointer(self._plugs), *where)
+        self._call(rate_channels, self._models, self._constants, self._state, self._slot)
 
     def features(
         self, multipliers: NDArray[np.float64], *, observe_robots: bool = False
     ) -> NDArray[np.float32]:
-        """Features of every user at the start of the coming slot (`policies.features`).
+        """Features of every user at the start of the coming slot (`policies.features`), (E, U, F).
 
-        Parameters
-        ----------
-        multipliers
-            Multiplier of each URLLC user's delay constraint, shape (E, R); put into the state.
-        observe_robots
-            Whether `ROBOT_FEATURES` follow.
-
-        Returns
-        -------
-        features
-            Shape (E, U, F), float32; of slice means there are none.
+        `multipliers` (E, R) of the users' delay constraints are put into the state. With
+        `observe_robots`, `ROBOT_FEATURES` follow; of slice means there are none.
         """
         self.state.multiplier[:] = multipliers
         shape = (*self.state.weight.shape, num_features(observe_robots))
         features = np.empty(shape, np.float32)
-        arguments = self._constants, self._state, bool(observe_robots), features
-        if self._observe is None:
-            self._observe = observe_worlds.compile(tuple(map(typeof, arguments)))
-        self._observe(*arguments)
+        where = self._constants, self._state
+        self._call(observe_worlds, *where, bool(observe_robots), features)
         return features
 
     def decide(
@@ -435,25 +345,15 @@ class Simulator:
         *,
         weights: NDArray[np.float64] | None = None,
     ) -> NDArray[np.uint32]:
-        """Say what a compiled policy would do in the present state, which does not move on.
+        """Owners (E, K) by a compiled policy in the present state, which does not move on.
 
-        Parameters
-        ----------
-        policy
-            A rule, or weights of one.
-        multipliers, weights
-            As for `run`; they and what the policy computed of them stay in the state.
-
-        Returns
-        -------
-        prb_owner
-            Owner of each PRB, shape (E, K).
+        `multipliers` and `weights` as for `run`; they and what the policy computed of them stay in
+        the state.
         """
         self._set(policy, weights, multipliers)
         owners = np.zeros((self.num_envs, self.scenario.radio.num_prb), np.uint32)
-        prepared = self._prepare(policy)
-        where = self._constants, self._state, self._scratch, self._one
-        decide_slots(prepared.plugs, *where, owners)
+        where = self._constants, self._state, self._one
+        self._call(decide_slots, self._prepare(policy), *where, owners)
         return owners
 
     def _by_slot(self, policy: Policy, record: SlotRecord) -> None:
@@ -463,15 +363,14 @@ class Simulator:
             decision = policy.decide(self.view)
             if isinstance(decision, Weights):
                 self._set_weights(np.asarray(decision.values, np.float64))
-                self._call(self._prepare(self._base(decision.rule)), self._no_owners, one)
+                self._run(decision.rule, one)
             elif isinstance(decision, Owners):
                 self.state.weight[:] = 1.0
                 given = np.asarray(decision.prb_owner)
                 shape = self.num_envs, self.scenario.radio.num_prb
                 if given.shape != shape:
                     raise ValueError(f"prb_owner: shape {given.shape}, must be {shape}")
-                owners = self._owners(given[:, None], 1)
-                self._call(self._prepare(None), owners, one)
+                self._run(None, one, self._owners(given[:, None], 1))
             else:
                 raise ValueError(
                     f"{type(policy).__name__}.decide returned {type(decision).__name__}: must be "
@@ -479,20 +378,11 @@ class Simulator:
                 )
             record.rows[:, slot] = one.rows[:, 0]
 
-    def _base(self, name: str) -> Rule:
-        if name not in self._bases:
-            self._bases[name] = self.rule(name)
-        return self._bases[name]
-
     def run_robots(self, network_delay_s: NDArray[np.float64]) -> SlotRecord:
         """Run the robots alone under forced network delays, shape (E, T, R).
 
-        What belongs to the network stays 0 in the record.
-
-        Raises
-        ------
-        ValueError
-            On delays of another shape, negative or not finite, or slots beyond the horizon.
+        What belongs to the network stays 0 in the record. ValueError on delays of another shape,
+        negative or not finite, or slots beyond the horizon.
         """
         record = self.new_record(network_delay_s.shape[1])
         if network_delay_s.shape != record.network_delay_s.shape:
@@ -506,27 +396,15 @@ class Simulator:
             raise ValueError(
                 f"network_delay_s: {network_delay_s.shape[1]} slots, at most {self.slots_left}"
             )
-        run_robots(
-            self._prepare(None).plugs,
-            self._constants,
-            self._state,
-            self._one,
-            np.ascontiguousarray(network_delay_s, np.float64),
-            record.rows,
+        where = self._models, self._constants, self._state, self._one
+        self._call(
+            run_robots, *where, np.ascontiguousarray(network_delay_s, np.float64), record.rows
         )
         return record
 
     def new_record(self, num_slots: int) -> SlotRecord:
         """Zeroed record for `num_slots` slots of all worlds."""
         return self._layout.record(self.num_envs, num_slots)
-
-
-def _no_words(model: Any, seam: Seam) -> KernelError:
-    """Return the error of a model without words, whose kernel the loop would call at address 0."""
-    return KernelError(
-        f"{type(model).__module__}.{type(model).__qualname__}: its `words` returns None: must be "
-        f"the NamedTuple of its kernel for the seam {seam.name}"
-    )
 
 
 def _view(state: SlotState, constants: SlotConstants) -> View:

@@ -1,7 +1,25 @@
 """From the logs of a study to tables of measures: each log is read once.
 
 Tables are Parquet files ``measures/<table>/<group>.parquet``, one a group of policies that share
-jobs; `study.Study` reads them, and what is shown reads nothing else.
+jobs; `study.Study` reads them, and what is shown reads nothing else. A row is
+
+runs
+    A run, with the columns of `RunMetrics`: a learner's by training seed and world; `logged` says
+    whether the run has a log.
+windows
+    A whole window and robot of a logged run: `error_cm`, `saturated` (share of slots with a control
+    at its limit).
+slots
+    One of the first slots of an evaluation, and the mean of all (`slot` empty): `channel_gain`,
+    `urllc_rate_mbps`. Of the gain study a slot around a violation: `error_cm`.
+rates
+    A rate: `share` of the slots or windows (`span`) and users of a `slice` at or below it, in a
+    logged run of the evaluation.
+delays
+    A time: `share` of the delivered URLLC packets of such a run that took longer.
+episodes
+    An episode of a training, or the policies at a checkpoint (`kind`): rewards, backlogs, late
+    share.
 """
 
 from __future__ import annotations
@@ -14,8 +32,11 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from hiersched.core.fields import SLICE_FIELDS
 from hiersched.core.files import write_parquet
 from hiersched.experiments import files
+from hiersched.experiments.logged import RunSlots, read_slots
+from hiersched.experiments.logging import slice_fields
 from hiersched.experiments.points import (
     GAIN_GROUP,
     Experiment,
@@ -26,8 +47,6 @@ from hiersched.experiments.points import (
     trained_learners,
 )
 from hiersched.log import LogError, LogReader
-from hiersched.runs.logged import RunSlots, read_slots
-from hiersched.runs.logging import slice_fields
 from hiersched.scenario import Scenario
 from hiersched.scenario.schema import checkpoint_rounds
 from hiersched.study.metrics import (
@@ -40,9 +59,9 @@ from hiersched.study.metrics import (
 )
 
 RUN_TABLES = ("runs", "windows", "slots", "rates", "delays")
-"""Of policies: see `measure_runs`."""
+"""Of a group of policies."""
 GAIN_TABLES = ("windows", "slots")
-"""Of the gain study: see `measure_gains`."""
+"""Of the gain study."""
 
 FIRST_SLOTS = 20
 """Slots at the start of an evaluation of which the table ``slots`` holds each."""
@@ -69,7 +88,7 @@ def measured_groups(scenario: Scenario) -> dict[str, tuple[str, ...]]:
 
 
 def table_file(table: str, group: str) -> str:
-    """Return the file of a table of a group, relative to the folder of the study."""
+    """Table of measures of a group, relative to the folder of the study."""
     return f"measures/{table}/{group}.parquet"
 
 
@@ -128,14 +147,7 @@ def _measure_runs(
     point: Point,
     policy: str,
 ) -> None:
-    """Add the runs of a policy at a point to the tables.
-
-    ``runs`` has a row a run: columns of `RunMetrics`, those of a learner by training seed and
-    world; `policy_seed` is the training seed (empty for a rule), `seed` the world, and `logged`
-    whether the run has a log. The others have logged runs alone: ``windows`` a row a window and
-    robot; of the evaluation ``slots`` the first slots and the mean (slot empty), ``rates`` and
-    ``delays`` the distributions.
-    """
+    """Add the runs of a policy at a point to the tables."""
     rows = []
     labels = {"experiment": experiment.name, "axis": experiment.axis, "value": point.value}
     for seed in experiment.seeds:
@@ -337,7 +349,7 @@ def _episode_columns(log: LogReader, length: int) -> dict[str, NDArray[Any]]:
     """Return the columns of `training_episodes`, one value for every `length` slots."""
     reward = log.read("/delay", ["reward_urllc", "reward_embb"])
     if log.profile == "decisions":
-        slices = log.read("/slices")
+        slices = log.read("/delay", SLICE_FIELDS)
     else:
         users = log.read("/delay", ["due_packets", "late_packets"])
         users |= log.read("/queue", ["backlog_packets"])

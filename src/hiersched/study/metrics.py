@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hiersched.experiments.logged import RunSlots, read_slots
 from hiersched.log import LogError
-from hiersched.runs.logged import RunSlots, read_slots
 from hiersched.scenario import Scenario
 from hiersched.study.fifo import (
     FloatArray,
@@ -30,32 +30,38 @@ OFF_TRACK_CM = 10.0
 class RunMetrics:
     """Measures of one run after its warm-up; NaN where it is too short or has no such user.
 
-    Late shares are late packets over packets whose deadline fell behind the warm-up. Delay
-    quantiles are of the packets that arrived behind it and were delivered: those that still wait at
-    the end do not count, so at overload the late share is the fairer measure.
+    Packets that still wait at the end have no delay, so at overload the late share is the fairer
+    measure. A text below is about all columns since the text before.
     """
 
     policy: str
     policy_seed: int | None
-    """Training seed of a learned policy."""
+    """Name of the policy, and the training seed of a learned one."""
     seed: int
     """That of the world."""
     stage: str
     axis: str
     value: str
+    """Stage of the experiment, what it varies, and name of the point."""
     num_slots: int
     """Slots that are measured."""
     urllc_due_packets: int
     embb_due_packets: int
+    """Packets whose deadline fell behind the warm-up."""
     urllc_late_share: float
     embb_late_share: float
+    """Share of these that were late."""
     late_share_by_user: tuple[float, ...]
+    """The same of each user, in columns `late_share_user_0` and so on."""
     urllc_users_violating: tuple[float, ...]
-    """Share of URLLC users whose late share exceeds 1 - chi, for each reliability level."""
+    """Share of URLLC users whose late share exceeds 1 - chi, for each reliability level: columns
+    `urllc_users_violating_0.95` and so on."""
     urllc_rate_mbps: float
     embb_rate_mbps: float
+    """Mean rate of a user."""
     urllc_backlog_packets: float
     embb_backlog_packets: float
+    """Mean backlog of a user."""
     urllc_delay_p50_s: float
     urllc_delay_p95_s: float
     urllc_delay_p99_s: float
@@ -64,13 +70,21 @@ class RunMetrics:
     embb_delay_p95_s: float
     embb_delay_p99_s: float
     embb_delay_p999_s: float
+    """Quantiles of the delay of delivered packets that arrived behind the warm-up."""
     tracking_error_cm: float
+    """Root mean square of a window, mean over robots and windows."""
     off_track_share: float
+    """Share of robots and windows in which that is above `OFF_TRACK_CM`, 10 cm."""
     dexterity_index: float
+    """Mean over robots and windows."""
     delay_steps: float
+    """Mean delay in force, in control samples."""
     delay_capped_share: float
+    """Share of slots in which that is beyond the longest that a gain is designed for."""
     arrival_clamped_share: float
+    """Share of slots of URLLC users whose mean arrivals were cut to 0."""
     control_saturations_per_s: float
+    """Commands at their limit, of a robot."""
     mean_square_backlog: float
     """Mean over slots of half the sum of F^2 over the users of both slices [packets^2]."""
     penalty_cost: float

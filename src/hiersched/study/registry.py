@@ -7,12 +7,18 @@ runs again when its measures, its scenario or its code change.
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hiersched.core.registry import Registry
+from hiersched.experiments.points import (
+    BASELINE,
+    axis_policies,
+    experiments,
+    trained_learners,
+)
 from hiersched.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -131,15 +137,36 @@ def _adds(registry: Registry[Shown], name: str, **given: Any) -> Callable[[Any],
     return decorate
 
 
-def varies(key: str) -> Condition:
-    """Return the condition that an axis of the sweeps varies a key, and nothing else."""
-    return lambda scenario: axis_of(scenario, key) is not None
+def varies(
+    key: str, among: Callable[[Scenario, Iterable[str]], list[str]] | None = None
+) -> Condition:
+    """Return the condition that an axis of the sweeps varies a key, and nothing else.
+
+    If `among` is given, it has to pick one at least of the policies along the axis.
+    """
+
+    def condition(scenario: Scenario) -> bool:
+        axis = axis_of(scenario, key)
+        if axis is None or among is None:
+            return axis is not None
+        return bool(among(scenario, axis_policies(scenario, axis)))
+
+    return condition
 
 
 def axis_of(scenario: Scenario, *keys: str) -> str | None:
-    """Return the name of the axis that varies some keys and no others; None if there is none."""
-    axes = scenario.sweeps.axes
-    return next((name for name, axis in axes.items() if set(axis.vary) == set(keys)), None)
+    """Return the name of the axis that varies some keys and no others.
+
+    None if there is none, or none along which a policy runs.
+    """
+    axes, run = scenario.sweeps.axes, experiments(scenario)
+    found = (name for name, axis in axes.items() if name in run and set(axis.vary) == set(keys))
+    return next(found, None)
+
+
+def has_sweeps(scenario: Scenario) -> bool:
+    """Whether a policy runs along an axis."""
+    return any(experiment.stage == "sweep" for experiment in experiments(scenario).values())
 
 
 def has_gain_study(scenario: Scenario) -> bool:
@@ -154,8 +181,6 @@ def has_cells(scenario: Scenario) -> bool:
 
 def has_learners(scenario: Scenario) -> bool:
     """Whether a scenario trains policies."""
-    from hiersched.experiments.points import trained_learners
-
     return bool(trained_learners(scenario))
 
 
@@ -163,3 +188,18 @@ def has_bound(scenario: Scenario) -> bool:
     """Whether exact optima are computed."""
     return scenario.bound.slots_per_log > 0
 
+
+def own_and_baseline(scenario: Scenario, policies: Iterable[str]) -> list[str]:
+    """List the scenario's own learner and PF, as far as they are among some policies."""
+    among = set(policies)
+    return [name for name in (scenario.learning.algorithm, BASELINE) if name in among]
+
+
+def learners_among(scenario: Scenario, policies: Iterable[str]) -> list[str]:
+    """List the learners among some policies."""
+    return [name for name in policies if name in scenario.learned]
+
+
+def compares_rates(scenario: Scenario) -> bool:
+    """Whether the own learner or PF is evaluated, whose rates the paper compares."""
+    return bool(own_and_baseline(scenario, scenario.evaluate.policies))

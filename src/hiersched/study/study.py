@@ -14,9 +14,7 @@ from hiersched.experiments import files
 from hiersched.experiments.gains import design_of, designs
 from hiersched.experiments.points import Point, experiments
 from hiersched.scenario import Scenario
-from hiersched.study.measure import measured_groups, table_file
-
-BASELINE = "pf"
+from hiersched.study.measure import RUN_TABLES, measured_groups, table_file
 
 
 class Study:
@@ -43,14 +41,22 @@ class Study:
         reads
             Tables of `measure` (runs, windows, slots, rates, delays, episodes), ``bound`` (exact
             optima), ``stability`` (regions of the gain study) and ``schedules`` (its gains).
+
+        Raises
+        ------
+        ValueError
+            If a table is none of these.
         """
         own = {
             "bound": [files.BOUND],
             "stability": [files.STABILITY],
             "schedules": [files.gain_file(design) for design in designs(scenario)],
         }
+        known = (*RUN_TABLES, "episodes", *own)
         names = []
         for table in reads:
+            if table not in known:
+                raise ValueError(f"reads = {table!r}: must be one of {', '.join(known)}")
             names += own.get(table) or [
                 table_file(table, group)
                 for group, tables in measured_groups(scenario).items()

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.core.parameters import NonNegative, Note, Positive
-from hiersched.models.channel.link_budget import large_scale_gain
+from hiersched.core.randomness import STREAM_POSITION, draw_uniforms
 from hiersched.models.model import PATH_LOSS, PathLoss
 
 if TYPE_CHECKING:
@@ -47,14 +47,15 @@ class Macro(PathLoss):
     ] = 8.0
 
     def gain(self, key: int, num_users: int) -> NDArray[np.float64]:
-        """As in `PathLoss`."""
-        return large_scale_gain(
-            key,
-            num_users,
-            cell_radius_m=self.cell_radius_m,
-            min_distance_m=self.min_distance_m,
-            shadowing_db=self.shadowing_db,
-        )
+        """As in `PathLoss`; places belong to the world, so every policy meets the same users."""
+        uniforms = np.empty((3, num_users))
+        for lane in range(3):
+            draw_uniforms(np.uint64(key), STREAM_POSITION, 0, lane, uniforms[lane])
+        nearest, farthest = self.min_distance_m**2, self.cell_radius_m**2
+        distance_m = np.sqrt(nearest + uniforms[0] * (farthest - nearest))
+        normal = np.sqrt(-2.0 * np.log(uniforms[1])) * np.cos(2.0 * np.pi * uniforms[2])
+        loss_db = 128.1 + 37.6 * np.log10(distance_m / 1000.0) + self.shadowing_db * normal
+        return np.array([math.pow(10.0, -loss / 10.0) for loss in loss_db])
 
     def least_gain_db(self) -> float:
         """Return that at the edge: normal draws from doubles stay within nine deviations."""

@@ -6,9 +6,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hiersched.core.compiled import kernel
 from hiersched.core.numerics import log2_f64
 from hiersched.core.parameters import Note
 from hiersched.models.model import LINK, Model, Setup
@@ -36,41 +34,18 @@ class Shannon(Model):
         return ShannonWords(prb_bandwidth_mhz=radio.bandwidth_hz / radio.num_prb * 1e-6)
 
 
-@kernel()
-def prb_rates(
-    fading_power: NDArray[np.float32],
-    snr: NDArray[np.float64],
-    prb_bandwidth_mhz: float,
-    rate_mbps: NDArray[np.float32],
-) -> None:
-    """Rate of every user on every PRB, in place: B log2(1 + snr |h|^2).
-
-    Parameters
-    ----------
-    fading_power
-        Squared fading amplitude, shape (U*K,), user by user.
-    snr
-        Signal-to-noise ratio at unit fading power, shape (U*K,), linear: each user's value K times.
-    prb_bandwidth_mhz
-        Bandwidth of one PRB.
-    rate_mbps
-        Result, shape (U*K,). Rounded to float32, so that sums over PRBs in double are exact and do
-        not depend on their order: a reader of the log gets the same bits.
-    """
-    for i in range(fading_power.shape[0]):
-        snr_i = snr[i] * np.float64(fading_power[i])
-        rate_mbps[i] = np.float32(prb_bandwidth_mhz * log2_f64(1.0 + snr_i))
-
-
 @RATE_PRBS.kernel(ShannonWords)
 def rate_prbs(me: ShannonWords, constants: Any, state: Any, slot: Any, env: int) -> None:
-    """Rate of the coming slot."""
-    prb_rates(
-        state.fading_power[env].reshape(-1),
-        state.snr[env],
-        me.prb_bandwidth_mhz,
-        state.prb_rate_mbps[env].reshape(-1),
-    )
+    """Rate of every user on every PRB of the coming slot: B log2(1 + snr |h|^2).
+
+    Rounded to float32, so that sums over PRBs in double are exact and do not depend on their order:
+    a reader of the log gets the same bits.
+    """
+    power, snr = state.fading_power[env].reshape(-1), state.snr[env]
+    rate = state.prb_rate_mbps[env].reshape(-1)
+    for i in range(power.shape[0]):
+        snr_i = snr[i] * np.float64(power[i])
+        rate[i] = np.float32(me.prb_bandwidth_mhz * log2_f64(1.0 + snr_i))
 
 
 @DELIVER.kernel(ShannonWords)

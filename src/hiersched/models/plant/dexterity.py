@@ -14,16 +14,10 @@ MIN_SPEED_MPS = 0.05
 def dexterity_index(
     tracking_error_cm: float, orientation_error_deg: float, curvature_per_m: float
 ) -> float:
-    r"""Dexterity index in [0, 1] of one window.
+    """Dexterity index in [0, 1] of one window.
 
-    Parameters
-    ----------
-    tracking_error_cm
-        Root mean square of the position error.
-    orientation_error_deg
-        Mean absolute heading error.
-    curvature_per_m
-        Mean of \\|omega\\| / max(\\|v\\|, 0.05 m/s).
+    Of the root mean square of the position error, the mean size of the heading error, and the mean
+    of |omega| / max(|v|, 0.05 m/s).
     """
     return (
         0.4 * max(0.0, 1.0 - tracking_error_cm / 10.0)

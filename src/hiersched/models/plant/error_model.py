@@ -10,42 +10,21 @@ from scipy.linalg import expm
 
 FloatArray = npt.NDArray[np.float64]
 
-STATE_NAMES = ("e_x", "e_y", "e_theta", "dv", "dw")
-"""Order of the error state: positions in m, heading in rad, speed in m/s, turn rate in rad/s."""
-
 
 def unicycle_error_model(
     speed_mps: float, turn_rate_radps: float, actuator_lag_s: float
 ) -> tuple[FloatArray, FloatArray]:
     """Linearise the unicycle's tracking error about a reference, with first-order actuators.
 
-    The error is expressed in the reference frame; the commands are corrections to the
-    reference speed and turn rate that act through a lag::
+    The error is expressed in the reference frame; the commands are corrections to the reference
+    speed v_r [m/s] and turn rate w_r [rad/s] that act through a lag [s]::
 
         e_x'  = dv + w_r e_y        dv' = (u_v - dv) / lag
         e_y'  = v_r e_theta - w_r e_x        dw' = (u_w - dw) / lag
         e_theta' = dw
 
-    Parameters
-    ----------
-    speed_mps : float
-        Reference speed v_r in m/s.
-    turn_rate_radps : float
-        Reference turn rate w_r in rad/s.
-    actuator_lag_s : float
-        Time constant of both actuators in s, greater than 0.
-
-    Returns
-    -------
-    A_c : ndarray, shape (5, 5)
-        Continuous state matrix of x = (e_x, e_y, e_theta, dv, dw).
-    B_c : ndarray, shape (5, 2)
-        Continuous input matrix of u = (u_v, u_w).
-
-    Raises
-    ------
-    ValueError
-        If a value is not finite, or the lag is not positive.
+    Returns the continuous A_c (5, 5) of x = (e_x, e_y, e_theta, dv, dw) and B_c (5, 2) of u = (u_v,
+    u_w). ValueError if a value is not finite, or the lag not positive.
     """
     for name, value in (("speed_mps", speed_mps), ("turn_rate_radps", turn_rate_radps)):
         if not math.isfinite(value):
@@ -64,29 +43,12 @@ def unicycle_error_model(
 def discretise(
     A_c: npt.ArrayLike, B_c: npt.ArrayLike, sampling_s: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Discretise a linear system exactly under a zero-order hold.
+    """Discretise a linear system (A_c (n, n), B_c (n, m), in 1/s) exactly under a zero-order hold.
 
-    Parameters
-    ----------
-    A_c : array_like, shape (n, n)
-        Continuous state matrix, in 1/s.
-    B_c : array_like, shape (n, m)
-        Continuous input matrix, in 1/s.
-    sampling_s : float
-        Sampling interval in s, greater than 0.
-
-    Returns
-    -------
-    A : ndarray, shape (n, n)
-        exp(A_c h).
-    B : ndarray, shape (n, m)
-        The integral of exp(A_c s) B_c over one interval. Both are blocks of the exponential
-        of [[A_c, B_c], [0, 0]] h (Van Loan), which also holds for a singular A_c.
-
-    Raises
-    ------
-    ValueError
-        If shapes do not fit, an entry is not finite, or the interval is not positive.
+    Returns A = exp(A_c h), and B, the integral of exp(A_c s) B_c over one interval h =
+    `sampling_s`: blocks of the exponential of [[A_c, B_c], [0, 0]] h (Van Loan), which also holds
+    for a singular A_c. ValueError if shapes do not fit, an entry is not finite, or the interval is
+    not positive.
     """
     state, inputs = np.asarray(A_c, dtype=np.float64), np.asarray(B_c, dtype=np.float64)
     if state.ndim != 2 or state.shape[0] != state.shape[1]:

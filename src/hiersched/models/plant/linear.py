@@ -14,23 +14,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from hiersched.core.compiled import inner_kernel
+from hiersched.core.numerics import copy
 from hiersched.core.parameters import Matrix, NonEmpty, NonNegative, Note, Positive
-from hiersched.core.randomness import (
-    NormalScratch,
-    draw_robot_normals,
-    normal_rows,
-    normal_scratch,
-)
+from hiersched.core.randomness import NormalScratch, draw_normals, normal_scratch
 from hiersched.models.model import PLANT, Plant, Setup
 from hiersched.models.plant.dexterity import window_index
-from hiersched.models.plant.feedback import (
-    LoopConstants,
-    LoopMemory,
-    entry_in_force,
-    feedback,
-    forget,
-    late_place,
-)
+from hiersched.models.plant.feedback import LoopMemory, close_loop, forget, late_place
 from hiersched.models.seams import DRIVE
 
 if TYPE_CHECKING:
@@ -39,30 +28,23 @@ if TYPE_CHECKING:
 
 
 class LinearWords(NamedTuple):
-    """Parameters and state of R plants in each of E worlds; n states, m inputs.
-
-    Matrices, standard deviations a sample (n,), limits (m,), error states. `state` (E, R, n) now
-    and `coming` after the sample, `past` (E, R, samples + 1, n) the states of the run, `control`
-    (E, R, m), `window_square` (E, R) the squared errors of the window.
-    """
+    """Parameters and state of R plants in each of E worlds; n states, m inputs."""
 
     A: NDArray[np.float64]
     A_d: NDArray[np.float64]
     B: NDArray[np.float64]
-    process_noise: NDArray[np.float64]
-    measurement_noise: NDArray[np.float64]
-    input_limits: NDArray[np.float64]
+    process_noise: NDArray[np.float64]  # (n,) standard deviations a sample
+    measurement_noise: NDArray[np.float64]  # (n,)
+    input_limits: NDArray[np.float64]  # (m,)
     error_states: NDArray[np.int64]
     slots_per_sample: int
     slots_per_window: int
-    state: NDArray[np.float64]
-    coming: NDArray[np.float64]
-    past: NDArray[np.float64]
-    control: NDArray[np.float64]
-    window_square: NDArray[np.float64]
+    state: NDArray[np.float64]  # (E, R, n) now
+    coming: NDArray[np.float64]  # (E, R, n) after the sample
+    past: NDArray[np.float64]  # (E, R, samples + 1, n) of the run
+    window_square: NDArray[np.float64]  # (E, R) squared errors of the window
     memory: LoopMemory
     normals: NormalScratch
-    normal_rows: NDArray[np.float32]
 
 
 Index = Annotated[int, Field(ge=0)]
@@ -128,12 +110,8 @@ class Linear(Plant):
 
         Without A_d the whole feedback crosses the network (``network``); with it the feedback K,
         the regulator of (A, B), acts at once, and A_d x(k-d) is what the network delays
-        (``split``).
-
-        Raises
-        ------
-        ValueError
-            As `hiersched.control.DelayedPlant` and `dlqr`; the message begins with the matrix.
+        (``split``). Errors as those of `hiersched.control.DelayedPlant` and `dlqr`; the message
+        begins with the matrix.
         """
         from hiersched.control import DelayedPlant, dlqr, network_plant
 
@@ -227,16 +205,14 @@ class Linear(Plant):
             state=np.zeros((num_envs, num_robots, n)),
             coming=np.zeros((num_envs, num_robots, n)),
             past=np.zeros_like(memory.history),
-            control=np.zeros((num_envs, num_robots, m)),
             window_square=np.zeros((num_envs, num_robots)),
             memory=memory,
-            normals=normal_scratch(normal_rows(num_robots, num_normals)),
-            normal_rows=np.zeros((normal_rows(num_robots, num_normals), 5), np.float32),
+            normals=normal_scratch(num_robots, num_normals),
         )
 
     def reset(self, words: LinearWords, keys: NDArray[np.uint64]) -> None:
         """As in `Model`: plants at rest at the origin."""
-        for values in (words.state, words.coming, words.past, words.control, words.window_square):
+        for values in (words.state, words.coming, words.past, words.window_square):
             values[...] = 0.0
         forget(words.memory)
 
@@ -249,103 +225,48 @@ def drive_linear(me: LinearWords, constants: Any, state: Any, slot: Any, env: in
     the slot, as for unicycles. The window's index has the tracking error alone: no heading and no
     curvature.
     """
-    draw_robot_normals(
-        state.key[env], state.slot[env], me.normals, me.normal_rows, slot.robot_normal
-    )
-    now, loop = state.slot[env], constants.loop
+    draw_normals(state.key[env], state.slot[env], me.normals, slot.robot_normal)
+    now = state.slot[env]
     for robot in range(slot.delay_steps.shape[0]):
         body = me.state[env, robot]
         if now % me.slots_per_sample == 0:
-            delay_steps = int(slot.delay_steps[robot])
-            entry = entry_in_force(loop, delay_steps, me.memory.held[env, robot])
-            slot.control_saturated[robot] += _sample(
-                me,
-                loop,
-                now // me.slots_per_sample,
-                delay_steps,
-                entry,
-                slot.robot_normal[robot],
-                (env, robot),
-            )
-            state.gain_delay_steps[env, robot] = loop.adjusted_delay_steps[entry]
-        square = _square_error(me, body)
+            _sample(me, constants, state, slot, now // me.slots_per_sample, env, robot)
+        square = 0.0
+        for index in me.error_states:
+            square += body[index] ** 2
         me.window_square[env, robot] += square
         if (now + 1) % me.slots_per_sample == 0:
-            for j in range(body.shape[0]):
-                body[j] = me.coming[env, robot, j]
+            copy(me.coming[env, robot], body)
         if (now + 1) % me.slots_per_window == 0:
             state.dexterity_index[env, robot] = window_index(
                 me.window_square[env, robot], 0.0, 0.0, me.slots_per_window
             )
             me.window_square[env, robot] = 0.0
         slot.tracking_error_m[robot] = math.sqrt(square)
-        slot.gain_delay_steps[robot] = state.gain_delay_steps[env, robot]
-        for j in range(body.shape[0]):
-            slot.state[robot, j] = body[j]
-            state.robot_state[env, robot, j] = body[j]
-        for i in range(me.control.shape[2]):
-            slot.control[robot, i] = me.control[env, robot, i]
+        copy(body, slot.state[robot])
+        copy(me.memory.control[env, robot], slot.control[robot])
 
 
 @inner_kernel()
 def _sample(
-    me: LinearWords,
-    loop: LoopConstants,
-    sample: int,
-    delay_steps: int,
-    entry: int,
-    normals: NDArray[np.float32],
-    place: tuple[int, int],
-) -> int:
-    """Measure one plant, set its inputs (`feedback`), and find x(k+1).
+    me: LinearWords, constants: Any, state: Any, slot: Any, sample: int, env: int, robot: int
+) -> None:
+    """Measure one plant, close its loop, and find x(k+1).
 
-    Parameters
-    ----------
-    me, loop
-        The plants; gains.
-    sample, delay_steps, entry
-        k, T_d and the entry of the tables in force.
-    normals
-        Standard normals, shape (2 n,): process noise, measurement noise.
-    place
-        World and robot.
-
-    Returns
-    -------
-    int
-        1 if an input met its limit, else 0.
+    Of its normals the first n are the process noise, the others that of the measurement.
     """
     n, m = me.B.shape
-    history, commands = me.memory.history[place], me.memory.commands[place]
-    state, past, control = me.state[place], me.past[place], me.control[place]
-    late_sample = late_place(sample, delay_steps, history.shape[0])
-    now, late, late_state = history[sample], history[late_sample], past[late_sample]
+    history, normals = me.memory.history[env, robot], slot.robot_normal[robot]
+    body, past, control = me.state[env, robot], me.past[env, robot], me.memory.control[env, robot]
+    copy(body, past[sample])
     for j in range(n):
-        past[sample, j] = state[j]
-        now[j] = state[j] + me.measurement_noise[j] * np.float64(normals[n + j])
-    saturated = 0
-    for i in range(m):
-        command = feedback(loop, entry, i, late, now, sample, commands)
-        if abs(command) > me.input_limits[i]:
-            command = me.input_limits[i] if command > 0.0 else -me.input_limits[i]
-            saturated = 1
-        control[i] = command
-    for i in range(m):
-        commands[sample % commands.shape[0], i] = control[i]
+        history[sample, j] = body[j] + me.measurement_noise[j] * np.float64(normals[n + j])
+    close_loop(me.memory, me.input_limits, constants.loop, state, slot, sample, env, robot)
+    late = past[late_place(sample, int(slot.delay_steps[robot]), history.shape[0])]
     for i in range(n):
         value = me.process_noise[i] * np.float64(normals[i])
         for j in range(n):
-            value += me.A[i, j] * state[j] + me.A_d[i, j] * late_state[j]
+            value += me.A[i, j] * body[j] + me.A_d[i, j] * late[j]
         for j in range(m):
             value += me.B[i, j] * control[j]
-        me.coming[place][i] = value
-    return saturated
-
-
-@inner_kernel()
-def _square_error(me: LinearWords, state: NDArray[np.float64]) -> float:
-    """Sum of the squares of the states that count as tracking error."""
-    total = 0.0
-    for state_index in me.error_states:
-        total += state[state_index] ** 2
-    return total
+        me.coming[env, robot, i] = value

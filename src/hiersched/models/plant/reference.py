@@ -9,22 +9,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+if TYPE_CHECKING:
+    from hiersched.scenario.schema import Robot
+
+FloatArray = NDArray[np.float64]
+
 _LEMNISCATE_LENGTH = 5.244115108584239
 """Length of Bernoulli's lemniscate of half width 1."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class PathShape:
-    """Sizes of the reference paths: radius and half width in m, heading in rad, period in m."""
-
-    arc_radius_m: float
-    eight_half_width_m: float
-    zigzag_heading_rad: float
-    zigzag_period_m: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,11 +28,11 @@ class ReferenceTable:
     """Poses (N + 1, 3) in m and rad at the ends of N steps, speed and turn rate (N,) within."""
 
     step_s: float
-    pose: NDArray[np.float64]
-    speed_mps: NDArray[np.float64]
-    turn_rate_radps: NDArray[np.float64]
+    pose: FloatArray
+    speed_mps: FloatArray
+    turn_rate_radps: FloatArray
 
-    def rows(self) -> NDArray[np.float64]:
+    def rows(self) -> FloatArray:
         """Return what the motion needs of each step, shape (N, 5): see `UnicycleWords.path`."""
         half_turn = 0.5 * self.step_s * self.turn_rate_radps
         return np.stack(
@@ -51,106 +47,79 @@ class ReferenceTable:
         )
 
 
-def _straight(arc_m: NDArray[np.float64], shape: PathShape) -> NDArray[np.float64]:
-    return np.zeros_like(arc_m)
-
-
-def _arc(arc_m: NDArray[np.float64], shape: PathShape) -> NDArray[np.float64]:
-    return np.full_like(arc_m, 1.0 / shape.arc_radius_m)
-
-
-def _figure_eight(arc_m: NDArray[np.float64], shape: PathShape) -> NDArray[np.float64]:
+def _figure_eight(robot: Robot, arc_m: FloatArray) -> FloatArray:
     """Bernoulli's lemniscate x = a cos p / (1 + sin² p), y = x sin p.
 
     ds/dp = a / sqrt(1 + sin² p), from which the arc length follows by quadrature.
     """
-    a = shape.eight_half_width_m
+    a = robot.eight_half_width_m
     grid = np.linspace(0.0, 2.0 * math.pi, 20_001)
     speed = a / np.sqrt(1.0 + np.sin(grid) ** 2)
     step = grid[1] - grid[0]
     length = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * step)])
     parameter = np.interp(arc_m % length[-1], length, grid)
-    curvature: NDArray[np.float64] = (
-        3.0 * np.cos(parameter) / (a * np.sqrt(1.0 + np.sin(parameter) ** 2))
-    )
-    return curvature
+    return 3.0 * np.cos(parameter) / (a * np.sqrt(1.0 + np.sin(parameter) ** 2))
 
 
-def _zigzag(arc_m: NDArray[np.float64], shape: PathShape) -> NDArray[np.float64]:
+def _zigzag(robot: Robot, arc_m: FloatArray) -> FloatArray:
     """Swing: the heading goes to and fro between two bounds along a sine of the arc length."""
-    wave = 2.0 * math.pi / shape.zigzag_period_m
-    curvature: NDArray[np.float64] = shape.zigzag_heading_rad * wave * np.cos(wave * arc_m)
-    return curvature
+    wave = 2.0 * math.pi / robot.zigzag_period_m
+    return math.radians(robot.zigzag_heading_deg) * wave * np.cos(wave * arc_m)
 
 
-_CURVATURE: dict[str, Callable[[NDArray[np.float64], PathShape], NDArray[np.float64]]] = {
-    "straight": _straight,
-    "arc": _arc,
-    "figure_eight": _figure_eight,
-    "zigzag": _zigzag,
+_PATHS: dict[str, tuple[Callable[[Robot], float], Callable[[Robot, FloatArray], FloatArray]]] = {
+    "straight": (lambda robot: 0.0, lambda robot, arc_m: np.zeros_like(arc_m)),
+    "arc": (
+        lambda robot: 2.0 * math.pi * robot.arc_radius_m,
+        lambda robot, arc_m: np.full_like(arc_m, 1.0 / robot.arc_radius_m),
+    ),
+    "figure_eight": (lambda robot: _LEMNISCATE_LENGTH * robot.eight_half_width_m, _figure_eight),
+    "zigzag": (lambda robot: robot.zigzag_period_m, _zigzag),
 }
-
-
-def _period_m(name: str, shape: PathShape) -> float:
-    """Length after which a path repeats itself; 0 for a straight line."""
-    return {
-        "straight": 0.0,
-        "arc": 2.0 * math.pi * shape.arc_radius_m,
-        "figure_eight": _LEMNISCATE_LENGTH * shape.eight_half_width_m,
-        "zigzag": shape.zigzag_period_m,
-    }[name]
+"""Length [m] after which a path repeats itself, 0 for never, and its curvature [1/m] by way."""
 
 
 def reference_table(
-    name: str,
-    shape: PathShape,
-    speed_mps: float,
-    step_s: float,
-    num_steps: int,
-    num_robots: int,
+    robot: Robot, num_steps: int, num_robots: int
 ) -> tuple[ReferenceTable, NDArray[np.int64]]:
-    """Sample a reference and say where in it each robot starts.
+    """Sample the reference of a scenario's robots and say where in it each of them starts.
 
-    Parameters
-    ----------
-    name
-        ``straight``, ``arc``, ``figure_eight`` or ``zigzag``.
-    shape
-        Sizes of the paths.
-    speed_mps, step_s
-        Speed along the path and integration step.
-    num_steps
-        Steps that the last robot has before it; the table is longer by one period.
-    num_robots
-        Robots start evenly spread over a period, so that they do not meet the same curve at once.
-
-    Returns
-    -------
-    table, offset
-        The table and the first step of each robot, shape (num_robots,).
-
-    Raises
-    ------
-    ValueError
-        On an unknown name.
+    Robots start evenly spread over a period of the path, so that they do not meet the same curve at
+    once; the table is longer than `num_steps`, which the last one has before it, by one period.
+    Returns the table and the first step of each robot, shape (num_robots,). ValueError on an
+    unknown name, or if a reference from a file ends too early.
     """
-    if name not in _CURVATURE:
-        raise ValueError(f"reference = {name!r}: must be one of {', '.join(_CURVATURE)}")
-    period_steps = _period_m(name, shape) / (speed_mps * step_s)
+    name, step_s, speed_mps = robot.reference, robot.substep_s, robot.speed_mps
+    if name == "file":
+        points = np.array(robot.reference_points, dtype=np.float64)
+        return driven_table(
+            points[:, 0],
+            np.concatenate([[0.0], np.cumsum(arc_lengths(points))]),
+            points[0, 3] + np.concatenate([[0.0], np.cumsum(turns(points))]),
+            points[0, 1:3],
+            repeat=robot.reference_repeat,
+            step_s=step_s,
+            num_steps=num_steps,
+            num_robots=num_robots,
+        )
+    if name not in _PATHS:
+        raise ValueError(f"reference = {name!r}: must be one of {', '.join(_PATHS)}")
+    period_m, curvature = _PATHS[name]
+    period_steps = period_m(robot) / (speed_mps * step_s)
     offset = np.array(
-        [round(period_steps * robot / num_robots) for robot in range(num_robots)], dtype=np.int64
+        [round(period_steps * number / num_robots) for number in range(num_robots)], dtype=np.int64
     )
     total = num_steps + int(offset.max(initial=0))
     middle_m = (np.arange(total, dtype=np.float64) + 0.5) * (step_s * speed_mps)
-    turn_rate = speed_mps * _CURVATURE[name](middle_m, shape)
+    turn_rate = speed_mps * curvature(robot, middle_m)
     return _integrated(np.full(total, speed_mps), turn_rate, step_s, np.zeros(3)), offset
 
 
 def driven_table(
-    time_s: NDArray[np.float64],
-    arc_m: NDArray[np.float64],
-    heading_rad: NDArray[np.float64],
-    start_m: NDArray[np.float64],
+    time_s: FloatArray,
+    arc_m: FloatArray,
+    heading_rad: FloatArray,
+    start_m: FloatArray,
     *,
     repeat: bool,
     step_s: float,
@@ -159,27 +128,11 @@ def driven_table(
 ) -> tuple[ReferenceTable, NDArray[np.int64]]:
     """Sample a reference that is given by points, with arcs of circles at constant speed between.
 
-    Parameters
-    ----------
-    time_s, arc_m, heading_rad
-        Time from 0 on, way so far and heading at each point, shape (P,).
-    start_m
-        Where it starts: x and y.
-    repeat
-        Whether the motion starts over after the last point, from where it ends. Robots then start
-        evenly spread over it, else all at its beginning.
-    step_s, num_steps, num_robots
-        As for `reference_table`. A step that holds a point takes the mean speed and turn rate.
-
-    Returns
-    -------
-    table, offset
-        As for `reference_table`.
-
-    Raises
-    ------
-    ValueError
-        If the reference ends too early.
+    `time_s`, from 0 on, the way so far and the heading at each point have shape (P,); it starts at
+    x and y. With `repeat` the motion starts over after the last point, from where it ends, and
+    robots start evenly spread over it; else all at its beginning. A step that holds a point takes
+    the mean speed and turn rate. Result and `num_steps` as for `reference_table`; ValueError if the
+    reference ends too early.
     """
     period_s = float(time_s[-1])
     spread = period_s / step_s / num_robots if repeat else 0.0
@@ -196,10 +149,10 @@ def driven_table(
 
 
 def _integrated(
-    speed_mps: NDArray[np.float64],
-    turn_rate: NDArray[np.float64],
+    speed_mps: FloatArray,
+    turn_rate: FloatArray,
     step_s: float,
-    start: NDArray[np.float64],
+    start: FloatArray,
 ) -> ReferenceTable:
     """Poses from a start (x, y, heading) on, from the speed and turn rate of every step."""
     heading = start[2] + np.concatenate([[0.0], np.cumsum(turn_rate * step_s)])
@@ -213,13 +166,13 @@ def _integrated(
     return ReferenceTable(step_s=step_s, pose=pose, speed_mps=speed_mps, turn_rate_radps=turn_rate)
 
 
-def turns(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def turns(points: FloatArray) -> FloatArray:
     """Change of heading from row to row, shape (N - 1,), in [-pi, pi): unwrapped."""
-    change: NDArray[np.float64] = (np.diff(points[:, 3]) + math.pi) % (2.0 * math.pi) - math.pi
+    change: FloatArray = (np.diff(points[:, 3]) + math.pi) % (2.0 * math.pi) - math.pi
     return change
 
 
-def displacements(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def displacements(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Displacement from row to row along and across the chord of an arc, shape (N - 1,) each."""
     middle = points[:-1, 3] + 0.5 * turns(points)
     dx, dy = np.diff(points[:, 1]), np.diff(points[:, 2])
@@ -229,8 +182,8 @@ def displacements(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDA
     )
 
 
-def arc_lengths(points: NDArray[np.float64]) -> NDArray[np.float64]:
+def arc_lengths(points: FloatArray) -> FloatArray:
     """Length of the arc from row to row, shape (N - 1,): its chord by sinc(half the turn)."""
     along, _ = displacements(points)
-    length: NDArray[np.float64] = np.maximum(along, 0.0) / np.sinc(0.5 * turns(points) / math.pi)
+    length: FloatArray = np.maximum(along, 0.0) / np.sinc(0.5 * turns(points) / math.pi)
     return length

@@ -19,27 +19,13 @@ from hiersched.core.parameters import Note
 from hiersched.core.randomness import NormalScratch, draw_normals, normal_scratch
 from hiersched.models.model import PLANT, Plant, Setup
 from hiersched.models.plant.dexterity import MIN_SPEED_MPS, window_index
-from hiersched.models.plant.feedback import (
-    LoopConstants,
-    LoopMemory,
-    entry_in_force,
-    feedback,
-    forget,
-    late_place,
-)
-from hiersched.models.plant.reference import (
-    PathShape,
-    ReferenceTable,
-    arc_lengths,
-    driven_table,
-    reference_table,
-    turns,
-)
+from hiersched.models.plant.feedback import LoopConstants, LoopMemory, close_loop, forget
+from hiersched.models.plant.reference import reference_table
 from hiersched.models.seams import DRIVE
 
 if TYPE_CHECKING:
     from hiersched.control import DelayedPlant
-    from hiersched.scenario.schema import Robot, Scenario
+    from hiersched.scenario.schema import Scenario
 
 NUM_STATES = 5
 NUM_INPUTS = 2
@@ -48,29 +34,17 @@ LANES = 16
 """Robots that move side by side. A block of them is one flat array, field after field: with offsets
 that the compiler knows, it proves that fields do not overlap, and uses whole vectors."""
 
-(
-    STATE,
-    SLIP,
-    CONTROL,
-    WINDOW_SUMS,
-    SLOT_SQUARE,
-    NORMALS,
-    _END,
-) = (LANES * place for place in (0, 5, 7, 9, 12, 13, 18))
+STATE, SLIP, CONTROL, WINDOW_SUMS, SLOT_SQUARE, NORMALS, _END = (
+    LANES * place for place in (0, 5, 7, 9, 12, 13, 18)
+)
+"""Where the fields of a block begin: state (5), slip (2), control (2), window sums (3), the
+slot's sum of squared position errors, normals (5), each LANES times."""
 
 NUM_PATH = 5
 
 
 class UnicycleWords(NamedTuple):
-    """Parameters, state and work arrays of R robots in each of E worlds.
-
-    `path`, shape (N, 5), describes the reference in each step: turn rate, cosine and sine of half
-    the step's turn, chord, speed; `pose` (N + 1, 3) has its poses; `offset`, shape (R,), is where
-    each robot starts in it. `lanes` (E, blocks, 18 LANES) holds, for blocks of LANES robots, state
-    (5), slip (2), control (2), sums over the window (3), the slot's sum of squared position errors
-    and its standard normals (5), each LANES times. `gathered` is the reference of one block over
-    one slot.
-    """
+    """Parameters, state and work arrays of R robots in each of E worlds."""
 
     step_s: float
     steps_per_slot: int
@@ -83,15 +57,14 @@ class UnicycleWords(NamedTuple):
     slip_gain_radps: float
     noise_position_m: float
     noise_heading_rad: float
-    max_speed_mps: float
-    max_turn_rate_radps: float
-    path: NDArray[np.float64]
-    pose: NDArray[np.float64]
-    offset: NDArray[np.int64]
-    lanes: NDArray[np.float64]
+    input_limits: NDArray[np.float64]  # (2,) m/s and rad/s
+    path: NDArray[np.float64]  # (N, 5) reference of each step: `ReferenceTable.rows`
+    pose: NDArray[np.float64]  # (N + 1, 3) its poses
+    offset: NDArray[np.int64]  # (R,) where each robot starts in it
+    lanes: NDArray[np.float64]  # (E, blocks, 18 LANES) blocks of LANES robots
     memory: LoopMemory
     normals: NormalScratch
-    gathered: NDArray[np.float64]
+    gathered: NDArray[np.float64]  # reference of one block over one slot
 
     def set_state(self, value: NDArray[np.float64]) -> None:
         """Put all robots into states, shape (E, R, 5) or broadcast to it."""
@@ -152,7 +125,7 @@ class Unicycle(Plant):
         robot, control, slot_s = scenario.robot, scenario.control, scenario.radio.slot_s
         step_s = robot.substep_s
         steps_per_slot = round(slot_s / step_s)
-        table, offset = robot_references(robot, setup.num_slots * steps_per_slot, num_robots)
+        table, offset = reference_table(robot, setup.num_slots * steps_per_slot, num_robots)
         decay = float(np.exp(-step_s / robot.actuator_lag_s))
         slip_decay = float(np.exp(-slot_s / robot.slip_time_s))
         slip_spread = float(np.sqrt(1.0 - slip_decay**2))
@@ -168,14 +141,13 @@ class Unicycle(Plant):
             slip_gain_radps=robot.slip_turn_rate_radps * slip_spread,
             noise_position_m=robot.noise_position_m,
             noise_heading_rad=robot.noise_heading_rad,
-            max_speed_mps=robot.max_speed_mps,
-            max_turn_rate_radps=robot.max_turn_rate_radps,
+            input_limits=np.array([robot.max_speed_mps, robot.max_turn_rate_radps]),
             path=table.rows(),
             pose=table.pose,
             offset=offset,
             lanes=np.zeros((setup.num_envs, -(-num_robots // LANES), _END)),
             memory=setup.loop_memory(NUM_STATES, NUM_INPUTS),
-            normals=normal_scratch(num_robots),
+            normals=normal_scratch(num_robots, 5),
             gathered=np.zeros(steps_per_slot * NUM_PATH * LANES),
         )
 
@@ -185,46 +157,23 @@ class Unicycle(Plant):
         forget(words.memory)
 
 
-def robot_references(
-    robot: Robot, num_steps: int, num_robots: int
-) -> tuple[ReferenceTable, NDArray[np.int64]]:
-    """Sample the reference of the robots and say where in it each of them starts."""
-    if robot.reference == "file":
-        points = np.array(robot.reference_points, dtype=np.float64)
-        return driven_table(
-            points[:, 0],
-            np.concatenate([[0.0], np.cumsum(arc_lengths(points))]),
-            points[0, 3] + np.concatenate([[0.0], np.cumsum(turns(points))]),
-            points[0, 1:3],
-            repeat=robot.reference_repeat,
-            step_s=robot.substep_s,
-            num_steps=num_steps,
-            num_robots=num_robots,
-        )
-    shape = PathShape(
-        arc_radius_m=robot.arc_radius_m,
-        eight_half_width_m=robot.eight_half_width_m,
-        zigzag_heading_rad=math.radians(robot.zigzag_heading_deg),
-        zigzag_period_m=robot.zigzag_period_m,
-    )
-    return reference_table(
-        robot.reference, shape, robot.speed_mps, robot.substep_s, num_steps, num_robots
-    )
-
-
 @inner_kernel(forceinline=True)
-def _gather_path(
-    path: NDArray[np.float64], place: int, steps: int, lane: int, gathered: NDArray[np.float64]
+def _start_slot(
+    me: UnicycleWords, lanes: NDArray[np.float64], slot: Any, first: int, begin: int, end: int
 ) -> None:
-    """Put the reference of one robot for `steps` steps from `place` on into its lane."""
-    for step in range(steps):
-        for field in range(NUM_PATH):
-            gathered[(step * NUM_PATH + field) * LANES + lane] = path[place + step, field]
+    """Give a block, robots `begin` to `end`, its normals and its reference from a step on.
 
-
-@inner_kernel(forceinline=True)
-def _start_slot(me: UnicycleWords, lanes: NDArray[np.float64]) -> None:
-    """Next slip of a block of robots from its normals; the slot's sum of squares starts at 0."""
+    The slip goes on by the normals; the slot's sum of squares starts at 0.
+    """
+    for robot in range(begin, end):
+        lane = robot - begin
+        for j in range(5):
+            lanes[NORMALS + j * LANES + lane] = np.float64(slot.robot_normal[robot, j])
+        place = me.offset[robot] + first
+        for step in range(me.steps_per_slot):
+            for field in range(NUM_PATH):
+                to = (step * NUM_PATH + field) * LANES + lane
+                me.gathered[to] = me.path[place + step, field]
     for lane in range(LANES):
         lanes[SLIP + lane] = (
             me.slip_decay * lanes[SLIP + lane] + me.slip_gain_mps * lanes[NORMALS + lane]
@@ -237,85 +186,38 @@ def _start_slot(me: UnicycleWords, lanes: NDArray[np.float64]) -> None:
 
 
 @inner_kernel(forceinline=True)
-def _close_loop(
+def _sample(
     me: UnicycleWords,
-    loop: LoopConstants,
-    sample: int,
-    delay_steps: int,
-    entry: int,
-    lane: int,
     lanes: NDArray[np.float64],
-    memory: tuple[NDArray[np.float64], NDArray[np.float64]],
-) -> int:
-    """Measure one robot and set its commands (`feedback`), by one entry of the tables.
-
-    Parameters
-    ----------
-    me, loop
-        Noise and limits; gains.
-    sample
-        Index k of the control sample. Before the first sample the robot stood on its reference.
-    delay_steps
-        T_d: the newest measurement that has arrived is so many samples old.
-    entry
-        The delay whose gains are in force: T_d, at most T_max, or a longer one that is held.
-    lane, lanes
-        The robot's lane in its block; the last three normals are the measurement noise, the control
-        is written.
-    memory
-        Its measured states, shape (samples + 1, 5), zero where nothing is measured yet, and its
-        applied commands, shape (T_max + 1, 2); those of this sample are written.
-
-    Returns
-    -------
-    int
-        1 if a command met its limit, else 0.
-    """
-    history, commands = memory
-    now = history[sample]
+    loop: LoopConstants,
+    state: Any,
+    slot: Any,
+    sample: int,
+    env: int,
+    robot: int,
+) -> None:
+    """Measure one robot and close its loop; the last three normals are the noise."""
+    lane = robot % LANES
+    now = me.memory.history[env, robot, sample]
     for j in range(NUM_STATES):
         now[j] = lanes[STATE + j * LANES + lane]
     now[0] += me.noise_position_m * lanes[NORMALS + 2 * LANES + lane]
     now[1] += me.noise_position_m * lanes[NORMALS + 3 * LANES + lane]
     now[2] += me.noise_heading_rad * lanes[NORMALS + 4 * LANES + lane]
-    past = history[late_place(sample, delay_steps, history.shape[0])]
-    saturated = 0
+    close_loop(me.memory, me.input_limits, loop, state, slot, sample, env, robot)
     for i in range(NUM_INPUTS):
-        command = feedback(loop, entry, i, past, now, sample, commands)
-        limit = me.max_speed_mps if i == 0 else me.max_turn_rate_radps
-        if abs(command) > limit:
-            command = limit if command > 0.0 else -limit
-            saturated = 1
-        lanes[CONTROL + i * LANES + lane] = command
-    if loop.has_memory:
-        for i in range(NUM_INPUTS):
-            commands[sample % commands.shape[0], i] = lanes[CONTROL + i * LANES + lane]
-    return saturated
+        lanes[CONTROL + i * LANES + lane] = me.memory.control[env, robot, i]
 
 
 @inner_kernel(forceinline=True)
-def _move_lanes(
-    step_s: float,
-    lag_mean: float,
-    lag_decay: float,
-    path: NDArray[np.float64],
-    lanes: NDArray[np.float64],
-) -> None:
-    """Move a block of robots by one integration step.
+def _move_lanes(me: UnicycleWords, path: NDArray[np.float64], lanes: NDArray[np.float64]) -> None:
+    """Move a block of robots by one integration step, with the reference (5 LANES,) in it.
 
     Midpoint rule in the heading, exact in the actuator lag and in the rotation of the frame. The
     window sums grow by squared position error, absolute heading error and curvature at the end of
     the step, the slot's sum by the first of them.
-
-    Parameters
-    ----------
-    step_s, lag_mean, lag_decay
-        As in `UnicycleWords`.
-    path
-        Reference of this step, shape (5 LANES,), from `_gather_path`.
-    lanes
-        The block, in place.
     """
+    step_s, lag_mean, lag_decay = me.step_s, me.lag_mean, me.lag_decay
     for lane in range(LANES):
         turn_rate = path[lane]
         c = path[LANES + lane]
@@ -353,85 +255,15 @@ def _move_lanes(
         lanes[WINDOW_SUMS + 2 * LANES + lane] += curvature
 
 
-@DRIVE.kernel(UnicycleWords)
-def drive_unicycles(me: UnicycleWords, constants: Any, state: Any, slot: Any, env: int) -> None:
-    """Move all robots of a world through the slot."""
-    draw_normals(state.key[env], state.slot[env], me.normals, slot.robot_normal)
-    num_robots = slot.delay_steps.shape[0]
-    first = state.slot[env] * me.steps_per_slot
-    last = first + me.steps_per_slot
-    for block in range(me.lanes.shape[1]):
-        lanes = me.lanes[env, block]
-        begin = block * LANES
-        count = min(LANES, num_robots - begin)
-        for lane in range(count):
-            normals = slot.robot_normal[begin + lane]
-            for j in range(5):
-                lanes[NORMALS + j * LANES + lane] = np.float64(normals[j])
-            place = me.offset[begin + lane] + first
-            _gather_path(me.path, place, me.steps_per_slot, lane, me.gathered)
-        _start_slot(me, lanes)
-        for step in range(first, last):
-            if step % me.steps_per_sample == 0:
-                _sample(me, constants.loop, state, slot, env, step // me.steps_per_sample, block)
-            of_step = (step - first) * NUM_PATH * LANES
-            _move_lanes(
-                me.step_s,
-                me.lag_mean,
-                me.lag_decay,
-                me.gathered[of_step : of_step + NUM_PATH * LANES],
-                lanes,
-            )
-            if (step + 1) % me.steps_per_window == 0:
-                _end_window(me.steps_per_window, lanes, state.dexterity_index[env, begin:])
-        for lane in range(count):
-            _record_robot(me, lanes, lane, last, slot, begin + lane)
-            robot = begin + lane
-            slot.gain_delay_steps[robot] = state.gain_delay_steps[env, robot]
-            for j in range(NUM_STATES):
-                state.robot_state[env, robot, j] = slot.state[robot, j]
-
-
-@inner_kernel(forceinline=True)
-def _sample(
-    me: UnicycleWords,
-    loop: LoopConstants,
-    state: Any,
-    slot: Any,
-    env: int,
-    sample: int,
-    block: int,
-) -> None:
-    """Close the loops of one block of robots at a control sample."""
-    begin = block * LANES
-    for lane in range(min(LANES, slot.delay_steps.shape[0] - begin)):
-        robot = begin + lane
-        delay_steps = int(slot.delay_steps[robot])
-        entry = entry_in_force(loop, delay_steps, me.memory.held[env, robot])
-        slot.control_saturated[robot] += _close_loop(
-            me,
-            loop,
-            sample,
-            delay_steps,
-            entry,
-            lane,
-            me.lanes[env, block],
-            (me.memory.history[env, robot], me.memory.commands[env, robot]),
-        )
-        state.gain_delay_steps[env, robot] = loop.adjusted_delay_steps[entry]
-
-
 @inner_kernel()
-def _end_window(
-    steps_per_window: int, lanes: NDArray[np.float64], dexterity_index: NDArray[np.float64]
-) -> None:
+def _end_window(me: UnicycleWords, lanes: NDArray[np.float64], index: NDArray[np.float64]) -> None:
     """Dexterity index of a block of robots, shape (robots from the block on,), and new sums."""
-    for lane in range(min(LANES, dexterity_index.shape[0])):
-        dexterity_index[lane] = window_index(
+    for lane in range(min(LANES, index.shape[0])):
+        index[lane] = window_index(
             lanes[WINDOW_SUMS + lane],
             lanes[WINDOW_SUMS + LANES + lane],
             lanes[WINDOW_SUMS + 2 * LANES + lane],
-            steps_per_window,
+            me.steps_per_window,
         )
     for place in range(WINDOW_SUMS, WINDOW_SUMS + 3 * LANES):
         lanes[place] = 0.0
@@ -439,19 +271,40 @@ def _end_window(
 
 @inner_kernel(forceinline=True)
 def _record_robot(
-    me: UnicycleWords, lanes: NDArray[np.float64], lane: int, last: int, slot: Any, robot: int
+    me: UnicycleWords, lanes: NDArray[np.float64], slot: Any, last: int, env: int, robot: int
 ) -> None:
     """Note where one robot stands after the slot's last step."""
+    lane = robot % LANES
     slot.tracking_error_m[robot] = math.sqrt(lanes[SLOT_SQUARE + lane] / me.steps_per_slot)
-    body = slot.state[robot]
     for j in range(NUM_STATES):
-        body[j] = lanes[STATE + j * LANES + lane]
+        slot.state[robot, j] = lanes[STATE + j * LANES + lane]
     place = me.offset[robot] + last
-    reference = slot.reference[robot]
-    pose = me.pose[place]
     for j in range(3):
-        reference[j] = pose[j]
-    reference[3] = me.path[place - 1, 4]
-    reference[4] = me.path[place - 1, 0]
+        slot.reference[robot, j] = me.pose[place, j]
+    slot.reference[robot, 3] = me.path[place - 1, 4]
+    slot.reference[robot, 4] = me.path[place - 1, 0]
     for i in range(NUM_INPUTS):
-        slot.control[robot, i] = lanes[CONTROL + i * LANES + lane]
+        slot.control[robot, i] = me.memory.control[env, robot, i]
+
+
+@DRIVE.kernel(UnicycleWords)
+def drive_unicycles(me: UnicycleWords, constants: Any, state: Any, slot: Any, env: int) -> None:
+    """Move all robots of a world through the slot."""
+    draw_normals(state.key[env], state.slot[env], me.normals, slot.robot_normal)
+    first = state.slot[env] * me.steps_per_slot
+    last = first + me.steps_per_slot
+    for block in range(me.lanes.shape[1]):
+        lanes, begin = me.lanes[env, block], block * LANES
+        end = min(begin + LANES, slot.delay_steps.shape[0])
+        _start_slot(me, lanes, slot, first, begin, end)
+        for step in range(first, last):
+            if step % me.steps_per_sample == 0:
+                sample = step // me.steps_per_sample
+                for robot in range(begin, end):
+                    _sample(me, lanes, constants.loop, state, slot, sample, env, robot)
+            place = (step - first) * NUM_PATH * LANES
+            _move_lanes(me, me.gathered[place : place + NUM_PATH * LANES], lanes)
+            if (step + 1) % me.steps_per_window == 0:
+                _end_window(me, lanes, state.dexterity_index[env, begin:])
+        for robot in range(begin, end):
+            _record_robot(me, lanes, slot, last, env, robot)

@@ -20,14 +20,12 @@ from hiersched.models.seams import SERVE
 
 
 class FifoWords(NamedTuple):
-    """What the queues of U users remember.
+    """What the queues of U users remember."""
 
-    `arrived` (E, T + 1, U): packets that arrived before each slot; `head` (E, U): slot in which the
-    oldest waiting packet arrived, or any earlier one (the coming slot if none waits).
-    """
-
-    arrived: NDArray[np.float64]
-    head: NDArray[np.int64]
+    arrived: NDArray[np.float64]  # (E, T + 1, U) packets that arrived before each slot
+    head: NDArray[
+        np.int64
+    ]  # (E, U) slot in which the oldest waiting packet arrived, or any earlier
 
 
 @QUEUE.model
@@ -61,35 +59,18 @@ def serve_user(
     head: int,
     arrived: NDArray[np.float64],
 ) -> tuple[float, float, float, float, float, int]:
-    """Serve one user for one slot.
+    """Serve one user for slot t, with F(t), A(t) and mu(t), the offered service, in packets.
 
-    Parameters
-    ----------
-    slot
-        Index t of the slot.
-    backlog, arrivals, service
-        F(t), A(t) and mu(t), the offered service, in packets.
-    deadline_slots
-        Any positive number.
-    head
-        As in `FifoWords`.
-    arrived
-        Packets that arrived before each slot, shape (T + 1,); entry t + 1 is written.
+    The deadline is any positive number of slots. `head` and `arrived` (T + 1,) are those of
+    `FifoWords`; entry t + 1 is written. Returns, in slots and packets:
 
-    Returns
-    -------
-    after
-        F(t+1) = max(0, F + A - mu).
-    sojourn
-        Slots from arrival to completion of the last packet completed in this slot; without one, the
-        age of the oldest packet at the end of the slot, and 0 for an empty queue.
-    hol
-        Age in slots of the oldest waiting packet at the start of the next slot, 0 if none waits.
-    due, late
-        Packets whose deadline fell into this slot, and how many of them had not been completed by
-        then.
-    head
-        For the next slot.
+    - F(t+1) = max(0, F + A - mu);
+    - sojourn, from arrival to completion of the last packet completed in this slot; without one,
+      the age of the oldest packet at the end of the slot, and 0 for an empty queue;
+    - age of the oldest waiting packet at the start of the next slot, 0 if none waits;
+    - due and late: packets whose deadline fell into this slot, and how many of them had not been
+      completed by then;
+    - head for the next slot.
     """
     before, load = arrived[slot], backlog + arrivals
     total = before + arrivals

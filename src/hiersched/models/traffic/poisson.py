@@ -39,12 +39,9 @@ UNIFORM, MEAN, QUANTILE, _TERM, _SUM, NUM_ARRIVAL_LANES = (LANES * place for pla
 
 
 class PoissonWords(NamedTuple):
-    """Packets a batch; the belief of the base station, which is the truth here; work lanes."""
+    """Packets a batch; work lanes. The rest is the belief of the base station, true here."""
 
     batch_packets: int
-    offered_mbps: NDArray[np.float64]
-    rate_sensitivity: NDArray[np.float64]
-    packets_per_mbps: NDArray[np.float64]
     lanes: NDArray[np.float64]
 
 
@@ -123,13 +120,7 @@ class Poisson(Arrivals):
         ]
 
     def words(self, setup: Setup) -> PoissonWords:
-        """As in `Model`.
-
-        Raises
-        ------
-        ValueError
-            If a user's mean arrivals are beyond the Poisson quantile.
-        """
+        """As in `Model`; ValueError if a user's mean arrivals are beyond the Poisson quantile."""
         belief = self.belief(setup.scenario)
         worst = belief.offered_mbps * belief.packets_per_mbps / self.batch_packets
         if worst.max() > MAX_MEAN:
@@ -141,9 +132,6 @@ class Poisson(Arrivals):
             )
         return PoissonWords(
             batch_packets=self.batch_packets,
-            offered_mbps=belief.offered_mbps,
-            rate_sensitivity=belief.rate_sensitivity,
-            packets_per_mbps=belief.packets_per_mbps,
             lanes=np.zeros((-(-len(worst) // LANES), NUM_ARRIVAL_LANES)),
         )
 
@@ -159,8 +147,9 @@ def offer_poisson(me: PoissonWords, constants: Any, state: Any, slot: Any, env: 
         for lane in range(count):
             user = begin + lane
             rate = slot.rate_mbps[user]
-            offered, sensitivity = me.offered_mbps[user], me.rate_sensitivity[user]
-            mean = mean_arrivals(rate, offered, sensitivity, me.packets_per_mbps[user])
+            offered, sensitivity = constants.offered_mbps[user], constants.rate_sensitivity[user]
+            per_mbps = constants.arrival_packets_per_mbps[user]
+            mean = mean_arrivals(rate, offered, sensitivity, per_mbps)
             slot.arrival_clamped[user] = 1 if offered - sensitivity * rate < 0.0 else 0
             lanes[UNIFORM + lane] = slot.arrival_uniform[user]
             lanes[MEAN + lane] = mean / batch
@@ -173,14 +162,9 @@ def offer_poisson(me: PoissonWords, constants: Any, state: Any, slot: Any, env: 
 def poisson_quantiles(lanes: NDArray[np.float64]) -> None:
     """Poisson quantiles of a block of users: the least k whose distribution reaches the uniform.
 
-    The users' sums run side by side until the last has ended: one after the other, each would end
-    at an unforeseeable place, which stalls the processor.
-
-    Parameters
-    ----------
-    lanes
-        Flat, LANES of each: `UNIFORM` in (0, 1) and `MEAN`, at most MAX_MEAN, are read, `QUANTILE`
-        is written. Lanes without a user have a uniform of 0.
+    LANES of each are read, `UNIFORM` in (0, 1), 0 without a user, and `MEAN`, at most MAX_MEAN, and
+    `QUANTILE` is written. The users' sums run side by side until the last has ended: one after the
+    other, each would end at an unforeseeable place, which stalls the processor.
     """
     for lane in range(LANES):
         lanes[_TERM + lane] = exp_f64(-lanes[MEAN + lane])

@@ -29,6 +29,11 @@ def controls(scenario: Scenario) -> list[str]:
     return [name for name in trained_learners(scenario) if scenario.learned[name].frozen]
 
 
+def first_trained(scenario: Scenario) -> str:
+    """Return the first learner that is trained, one that learns before those that do not."""
+    return [*learners(scenario), *controls(scenario)][0]
+
+
 def learned_policies(scenario: Scenario) -> list[str]:
     """Return the evaluated policies that are learned, the scenario's own algorithm first."""
     return [name for name in learners(scenario) if name in scenario.evaluate.policies]

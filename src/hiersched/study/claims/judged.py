@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from hiersched.experiments.points import BASELINE
 from hiersched.study.claims.conditions import Noisy, by_coefficient, evaluated, swept, trained
 from hiersched.study.claims.effects import (
     PAIRED,
@@ -30,7 +31,7 @@ from hiersched.study.claims.verdicts import Condition, Judged, Statement
 from hiersched.study.intervals import resolution
 from hiersched.study.registry import claim, has_gain_study, has_learners, varies
 from hiersched.study.samples import sample_of
-from hiersched.study.study import BASELINE, Study
+from hiersched.study.study import Study
 from hiersched.study.tables.gains import gain_errors
 from hiersched.study.tables.policies import SCALE
 

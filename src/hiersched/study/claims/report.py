@@ -104,16 +104,12 @@ def insert_table(text: str, claims_json: str) -> str:
     """
     if text.count(BEGIN) != 1 or text.count(END) != 1:
         raise ValueError(f"the text must have the lines {BEGIN} and {END} once each")
-    lines = [
-        "| | Claim | As configured | Verdict | Halvings that agree | Flipped by |",
-        "|---:|---|---|---|---:|---|",
-    ]
+    lines = ["| | Claim | Number, of several the first | Verdict |", "|---:|---|---|---|"]
     for claim in json.loads(claims_json)["claims"]:
-        numbers = "; ".join(s["text"] for s in claim["base"]["statements"])
+        number = next((s["text"] for s in claim["base"]["statements"]), "–")
         lines.append(
-            f"| {claim['number']} | {claim['claim']} ({claim['reference']}) | {numbers} "
-            f"| **{claim['verdict']}** | {_agreeing(claim['halvings_that_agree'])} "
-            f"| {_flips(claim)} |"
+            f"| {claim['number']} | {claim['claim']} ({claim['reference']}) | {number} "
+            f"| **{claim['verdict']}** |"
         )
     before, rest = text.split(BEGIN)
     return "\n".join([before + BEGIN, *lines, END + rest.split(END)[1]])

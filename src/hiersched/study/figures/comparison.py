@@ -9,6 +9,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from hiersched.experiments.points import BASELINE
 from hiersched.policies.registry import Look
 from hiersched.scenario import Scenario
 from hiersched.study.figures.style import (
@@ -27,7 +28,7 @@ from hiersched.study.figures.style import (
     zero_floor,
 )
 from hiersched.study.registry import axis_of, figure, has_bound, has_cells, varies
-from hiersched.study.study import BASELINE, Study
+from hiersched.study.study import Study
 from hiersched.study.tables.policies import (
     BACKLOG,
     LOAD,
@@ -65,12 +66,11 @@ def spans_decades(table: pd.DataFrame, measure: str) -> bool:
 def draw_load(study: Study) -> Figure:
     """Draw late share, tracking error, backlog and eMBB rate of policies against the load.
 
-    Of the learners the scenario's own; `draw_learners` has the others.
+    Of the learners the first, the scenario's own where it runs; `draw_learners` has the others.
     """
     scenario = study.scenario
     name = str(axis_of(scenario, LOAD))
-    table = along_axes(study, name)
-    table = table[~table["policy"].isin(list(scenario.learners))]
+    table = _with_one_learner(along_axes(study, name), scenario)
     figure = Figure(figsize=(7.2, 2.15 * PANEL_HEIGHT_IN), layout="constrained")
     axes = [axis for row in figure.subplots(2, 2, squeeze=False) for axis in row]
     policies = [str(policy) for policy in dict.fromkeys(table["policy"])]
@@ -107,6 +107,13 @@ def draw_load(study: Study) -> Figure:
     return figure
 
 
+def _with_one_learner(table: pd.DataFrame, scenario: Scenario) -> pd.DataFrame:
+    """Return the rows of all policies but the learners behind the first of them."""
+    there = set(table["policy"])
+    found = [name for name in scenario.learned if name in there]
+    return table[~table["policy"].isin(found[1:])]
+
+
 @figure(
     "figX_delay",
     title="Complementary distribution of the delay of delivered URLLC packets, all policies.",
@@ -115,10 +122,10 @@ def draw_load(study: Study) -> Figure:
 def draw_delay(study: Study) -> Figure:
     """Draw the complementary distribution of URLLC delays: main policies left, all right.
 
-    Of the learners the scenario's own: the others would hide it.
+    Of the learners the first, the scenario's own where it runs: the others would hide it.
     """
-    scenario, tails = study.scenario, delay_tails(study)
-    tails = tails[~tails["policy"].isin(list(scenario.learners))]
+    scenario = study.scenario
+    tails = _with_one_learner(delay_tails(study), scenario)
     figure, axes = new_figure(height_in=1.15 * PANEL_HEIGHT_IN, sharey=True)
     chosen = shown_policies(scenario)
     panels = (

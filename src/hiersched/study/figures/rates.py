@@ -25,8 +25,14 @@ from hiersched.study.figures.style import (
     shared_legend,
 )
 from hiersched.study.paper import TABLE3
-from hiersched.study.registry import axis_of, figure, varies
-from hiersched.study.study import BASELINE, Study
+from hiersched.study.registry import (
+    axis_of,
+    compares_rates,
+    figure,
+    own_and_baseline,
+    varies,
+)
+from hiersched.study.study import Study
 from hiersched.study.tables.policies import SCALE, along_axes
 
 LAST_SHARE = 0.999
@@ -54,6 +60,7 @@ _PAIRS: dict[tuple[str, bool], tuple[Any, str]] = {
     "fig4_rate_cdf",
     title="Fig. 4: distribution of the data rates of URLLC and eMBB users.",
     reads=("rates",),
+    when=compares_rates,
 )
 def draw_rate_cdf(study: Study) -> Figure:
     """Draw the distribution of the data rates of both slices, learned policy and PF."""
@@ -99,14 +106,14 @@ def draw_rate_cdf(study: Study) -> Figure:
     "fig5_rayleigh",
     title="Fig. 5: data rates and backlogs over the scale of the Rayleigh fading.",
     reads=("runs",),
-    when=varies(SCALE),
+    when=varies(SCALE, own_and_baseline),
 )
 def draw_rayleigh(study: Study) -> Figure:
     """Draw data rates and queue lengths against the Rayleigh scale."""
     figure, axes = new_figure()
     scenario = study.scenario
     values, table = _along(study, SCALE)
-    for policy in _shown(scenario):
+    for policy in own_and_baseline(scenario, table["policy"]):
         own = table[table["policy"] == policy]
         for name in SLICES:
             look = _pair_look(policy, name, scenario)
@@ -121,7 +128,6 @@ def draw_rayleigh(study: Study) -> Figure:
     axes[1].set_title("(b) mean queue length per user")
     axes[1].set_ylabel("backlog [packets]")
     axes[1].set_yscale("log")
-    shown = table[table["policy"].isin(_shown(scenario))]
     shared_legend(figure, axes[0], columns=3)
     caption(
         figure,
@@ -129,7 +135,7 @@ def draw_rayleigh(study: Study) -> Figure:
         "start at 0; bars leave the logarithmic axis where they include 0. Stars "
         "at σ\u00a0=\u00a01: "
         f"mean of the three slots of the paper's Table III.{_coincidence(table, scenario)}"
-        f"{arrows_text(shown[[f'{name}_backlog_packets_hi' for name in SLICES]])}",
+        f"{arrows_text(table[[f'{name}_backlog_packets_hi' for name in SLICES]])}",
     )
     return figure
 
@@ -138,7 +144,7 @@ def draw_rayleigh(study: Study) -> Figure:
     "fig6_sampling",
     title="Fig. 6: data rates over the sampling interval of the control loop.",
     reads=("runs",),
-    when=varies("control.sampling_s"),
+    when=varies("control.sampling_s", own_and_baseline),
 )
 def draw_sampling(study: Study) -> Figure:
     """Draw data rates against the control sampling interval."""
@@ -147,7 +153,7 @@ def draw_sampling(study: Study) -> Figure:
     values, table = _along(study, "control.sampling_s")
     values = [1e3 * value for value in values]
     for panel, name, letter in zip(axes, ("embb", "urllc"), "ab", strict=True):
-        for policy in _shown(scenario):
+        for policy in own_and_baseline(scenario, table["policy"]):
             own = table[table["policy"] == policy]
             look = policy_look(policy, scenario)
             _draw(panel, values, own, f"{name}_rate_mbps", look)
@@ -170,7 +176,7 @@ def draw_sampling(study: Study) -> Figure:
     "fig7_dexterity",
     title="Fig. 7: data rates on references of low, moderate and high dexterity index.",
     reads=("runs",),
-    when=varies("robot.reference"),
+    when=varies("robot.reference", own_and_baseline),
 )
 def draw_dexterity(study: Study) -> Figure:
     """Draw data rates against the dexterity index that the references give."""
@@ -178,7 +184,7 @@ def draw_dexterity(study: Study) -> Figure:
     scenario = study.scenario
     _, table = _along(study, "robot.reference")
     for panel, name, letter in zip(axes, ("embb", "urllc"), "ab", strict=True):
-        for policy in _shown(scenario):
+        for policy in own_and_baseline(scenario, table["policy"]):
             own = table[table["policy"] == policy].sort_values("dexterity_index")
             look = policy_look(policy, scenario)
             index = own["dexterity_index"].to_numpy()
@@ -209,9 +215,11 @@ def draw_dexterity(study: Study) -> Figure:
 
 
 def _along(study: Study, key: str) -> tuple[list[Any], pd.DataFrame]:
-    """Return the values of an axis that varies a key, and its rows of the table of sweeps."""
-    name = str(axis_of(study.scenario, key))
-    return list(study.scenario.sweeps.axes[name].vary[key]), along_axes(study, name)
+    """Return the values of an axis that varies a key, and the rows of learned policy and PF."""
+    scenario, name = study.scenario, str(axis_of(study.scenario, key))
+    table = along_axes(study, name)
+    own = table["policy"].isin(own_and_baseline(scenario, table["policy"]))
+    return list(scenario.sweeps.axes[name].vary[key]), table[own]
 
 
 def rate_distributions(study: Study) -> pd.DataFrame:
@@ -226,7 +234,7 @@ def rate_distributions(study: Study) -> pd.DataFrame:
     """
     rates = study.measures("rates")
     frames = []
-    for policy in (study.scenario.learning.algorithm, BASELINE):
+    for policy in own_and_baseline(study.scenario, rates["policy"]):
         own = rates[rates["policy"] == policy]
         for (span, name), rows in own.groupby(["span", "slice"], sort=False):
             shares = rows.pivot(index="rate_mbps", columns="seed", values="share").sort_index()
@@ -238,12 +246,6 @@ def rate_distributions(study: Study) -> pd.DataFrame:
     return pd.concat(frames, ignore_index=True).sort_values(
         ["span"], key=lambda span: span != "slot", kind="stable"
     )
-
-
-def _shown(scenario: Scenario) -> list[str]:
-    """List learned policy and PF, as far as the sweeps have them."""
-    pair = (scenario.learning.algorithm, BASELINE)
-    return [policy for policy in pair if policy in scenario.sweeps.policies]
 
 
 def _pair_look(policy: str, name: str, scenario: Scenario) -> Look:
@@ -281,7 +283,7 @@ def _trend_text(table: pd.DataFrame, measure: str, scenario: Scenario) -> str:
 def _coincidence(table: pd.DataFrame, scenario: Scenario) -> str:
     """Name the policies under which the rates of both slices lie on each other."""
     names = []
-    for policy in _shown(scenario):
+    for policy in own_and_baseline(scenario, table["policy"]):
         own = table[table["policy"] == policy]
         apart = (own["embb_rate_mbps"] / own["urllc_rate_mbps"] - 1.0).abs().max()
         if apart < COINCIDENT_SHARE:

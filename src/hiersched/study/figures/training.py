@@ -10,8 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from hiersched.experiments.points import BASELINE
 from hiersched.policies.registry import Look
-from hiersched.study.claims.conditions import control_of, controls, learners
+from hiersched.study.claims.conditions import control_of, controls, first_trained, learners
 from hiersched.study.figures.comparison import LOAD_BOUNDS, LOAD_PANELS, spans_decades
 from hiersched.study.figures.style import (
     CONTROL,
@@ -27,9 +28,9 @@ from hiersched.study.figures.style import (
     shared_legend,
     zero_floor,
 )
-from hiersched.study.registry import axis_of, figure, has_learners, varies
+from hiersched.study.registry import axis_of, figure, has_learners, learners_among, varies
 from hiersched.study.statistics import mean_interval
-from hiersched.study.study import BASELINE, Study
+from hiersched.study.study import Study
 from hiersched.study.tables.policies import LOAD, along_axes
 
 LOG_RANGE = 30.0
@@ -67,7 +68,8 @@ def training_curve(training: pd.DataFrame, measure: str, block: int) -> pd.DataF
 def draw_rewards(study: Study) -> Figure:
     """Draw each slice's reward per slot over training: with noise, without, and without learning.
 
-    The scenario's own learner is drawn, and the control for it.
+    The scenario's own learner is drawn, if it is trained, else the first that is, and the control
+    for it.
     """
     figure, axes = new_figure()
     axis_note = ""
@@ -120,9 +122,9 @@ def draw_queues(study: Study) -> Figure:
 
 
 def _draw_training(panel: Axes, study: Study, measure: str, name: str) -> pd.DataFrame:
-    """Draw one measure of the own learner and its control; returns the learner's curve."""
+    """Draw one measure of the first learner and its control; returns the learner's curve."""
     scenario = study.scenario
-    own = scenario.learning.algorithm
+    own = first_trained(scenario)
     control = control_of(scenario, own)
     shown = [(own, SLICES[name])] + ([(control, CONTROL)] if control is not None else [])
     curves = []
@@ -176,8 +178,8 @@ def _legend(figure: Figure, axes: Sequence[Axes]) -> None:
 
 
 def _note(study: Study) -> str:
-    learning = study.scenario.learning
-    seeds = study.training[learning.algorithm]["seed"].nunique()
+    own = first_trained(study.scenario)
+    learning, seeds = study.scenario.learned[own], study.training[own]["seed"].nunique()
     return (
         f"Lines: mean over {seeds} seeds and the {learning.num_envs} episodes that run side by "
         f"side, {learning.slots_per_episode} slots each from empty queues, with exploration noise "
@@ -277,7 +279,7 @@ def _draw_curve(panel: Axes, curve: pd.DataFrame, episodes: int, look: Look, lea
     "figX_learners",
     title="Every learner over the offered load, beside two schedulers; not in the paper.",
     reads=("runs",),
-    when=lambda scenario: has_learners(scenario) and varies(LOAD)(scenario),
+    when=varies(LOAD, learners_among),
 )
 def draw_learners(study: Study) -> Figure:
     """Draw every learner along the load, beside PF and drift-plus-penalty."""

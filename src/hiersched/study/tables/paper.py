@@ -8,12 +8,13 @@ from typing import Any
 
 import pandas as pd
 
-from hiersched.scenario import Scenario, load_scenario, scenario_notes, scenario_to_dict
+from hiersched.experiments.points import BASELINE
+from hiersched.scenario import load_scenario, scenario_notes, scenario_to_dict
 from hiersched.scenario.load import DEFAULTS
 from hiersched.study.paper import SYMBOLS, TABLE3
-from hiersched.study.registry import table
+from hiersched.study.registry import compares_rates, own_and_baseline, table
 from hiersched.study.statistics import interval_columns, mean_interval, paired_log_ratio
-from hiersched.study.study import BASELINE, Study
+from hiersched.study.study import Study
 from hiersched.study.tables.policies import differing_keys
 from hiersched.study.tables.text import LOGGED_NOTE, RATIO_NOTE, SEEDS_NOTE
 
@@ -72,10 +73,6 @@ def _plain(value: Any) -> str:
     return value if isinstance(value, str) else json.dumps(value)
 
 
-def _compares_rates(scenario: Scenario) -> bool:
-    return bool({scenario.learning.algorithm, BASELINE} & set(scenario.evaluate.policies))
-
-
 @table(
     "table3_rate",
     title="Table III: mean data rate of the URLLC users",
@@ -83,7 +80,7 @@ def _compares_rates(scenario: Scenario) -> bool:
     "channel gain is the mean of |h|² over URLLC users and PRBs, 2 s² in expectation; the paper "
     f"does not define its own. {RATIO_NOTE} {LOGGED_NOTE}",
     reads=("slots",),
-    when=_compares_rates,
+    when=compares_rates,
 )
 def rate_table(study: Study) -> pd.DataFrame:
     """Return Table III: mean URLLC rate of learned policy and PF at three slots and over all.
@@ -95,7 +92,7 @@ def rate_table(study: Study) -> pd.DataFrame:
     slots = study.measures("slots")
     slots = slots[slots["experiment"] == "evaluate"]
     learned = scenario.learning.algorithm
-    present = [p for p in (learned, BASELINE) if p in scenario.evaluate.policies]
+    present = own_and_baseline(scenario, scenario.evaluate.policies)
     rows = []
     for slot in (*TABLE3, "mean"):
         here = slots[slots["slot"].isna() if slot == "mean" else slots["slot"] == slot]

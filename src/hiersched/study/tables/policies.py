@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from hiersched.experiments.points import BASELINE
 from hiersched.policies.index_rules import CLASSICAL
 from hiersched.scenario import Scenario
 from hiersched.study.intervals import (
@@ -24,7 +25,8 @@ from hiersched.study.registry import (
     axis_of,
     has_bound,
     has_cells,
-    has_learners,
+    has_sweeps,
+    learners_among,
     table,
     varies,
 )
@@ -37,7 +39,7 @@ from hiersched.study.statistics import (
     paired_log_ratio,
     probability_of_improvement,
 )
-from hiersched.study.study import BASELINE, Study
+from hiersched.study.study import Study
 from hiersched.study.tables.text import LEARNED_NOTE, NONE_NOTE, RATIO_NOTE
 
 BACKLOG = "mean_square_backlog"
@@ -184,7 +186,7 @@ def policy_table(study: Study) -> pd.DataFrame:
     title="Sweeps: one axis varied at a time",
     note=f"{INTERVAL_NOTE} The CSV has more columns.",
     reads=("runs",),
-    when=lambda scenario: bool(scenario.sweeps.axes),
+    when=has_sweeps,
     columns=("axis", "value", "policy", *_READ_INTERVALS),
 )
 def sweep_table(study: Study) -> pd.DataFrame:
@@ -466,7 +468,7 @@ def differing_text(scenario: Scenario, learner: str) -> str:
     "Columns `…_minus_own`, `…_over_own`: paired differences from the scenario's own learner, "
     f"and typical ratios, the k-th training seeds of both in the same world. {NONE_NOTE}",
     reads=("runs",),
-    when=lambda scenario: has_learners(scenario) and varies(LOAD)(scenario),
+    when=varies(LOAD, learners_among),
 )
 def learner_table(study: Study) -> pd.DataFrame:
     """Return what every learner reaches at every load, and how far that is from the own one's.
@@ -509,4 +511,4 @@ def learner_table(study: Study) -> pd.DataFrame:
                         over = paired_log_ratio(values, base, resolution=least)
                         row |= interval_columns(f"{measure}_over_own", over)
             rows.append(row)
-    return pd.DataFrame(rows) if rows else pd.DataFrame(columns=["load", "learner", "differs"])
+    return pd.DataFrame(rows)

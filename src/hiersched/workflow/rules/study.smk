@@ -6,7 +6,7 @@ def shown_spec(scenario, kind, thing):
     values = {
         "scenario": dependencies.scenario_values(scenario, NOTES if kind == "table" else ""),
         "show": code_fingerprint(script("show")),
-        "beside": dependencies.outside_sources(thing),
+        "beside": dependencies.neighbours_sha256(thing),
     }
     name = thing.build.__name__
     return dependencies.stage_spec(f"{kind} {thing.name}", values, thing.file, only=name)

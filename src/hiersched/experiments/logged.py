@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from hiersched.control import GainSchedule
 from hiersched.core.fields import FIELDS
 from hiersched.core.randomness import world_key, world_keys
+from hiersched.experiments.logging import logged_fields
 from hiersched.log import LogError, LogReader
 from hiersched.policies.policy import LoggedDecisions
-from hiersched.runs.logging import logged_fields
 from hiersched.scenario import Scenario, ScenarioError, load_resolved
 from hiersched.simulator import Gains, Simulator
 from hiersched.simulator.loop_gains import loop_gains

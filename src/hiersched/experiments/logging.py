@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from hiersched.control import GainSchedule
 from hiersched.core.fields import fields_to_text
+from hiersched.experiments.events import slot_events
 from hiersched.log import LogDims, LogWriter
 from hiersched.log.schema import MODEL_FIELDS
 from hiersched.models.model import model_fields, num_model_values
-from hiersched.runs.events import slot_events
 from hiersched.scenario import Scenario, scenario_sha256, scenario_to_yaml
 
 if TYPE_CHECKING:
@@ -171,7 +171,7 @@ def logged_fields(
 
 
 def slice_fields(fields: Mapping[str, NDArray[Any]], num_urllc: int) -> dict[str, NDArray[Any]]:
-    """Sum users up to slices: the topic ``/slices``.
+    """Sum users up to slices: what logs of decisions have in place of the users' numbers.
 
     `fields` has ``backlog_packets``, ``due_packets`` and ``late_packets`` of users, shape (..., U),
     URLLC users first. Returns name -> value of each slot, shape (...): mean backlogs [packets], 0
