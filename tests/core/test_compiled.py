@@ -63,7 +63,7 @@ def settings():
 before = settings()
 import numpy as np
 from hiersched.env import SlicingVectorEnv
-from hiersched.models.plant.feedback import hold_entry
+from hiersched.models.plant.dexterity import dexterity_index
 assert settings() == before
 
 @numba.njit(cache=True)
@@ -71,9 +71,9 @@ def twice(x):
     return 2 * x
 
 assert twice(3) == 6
-assert hold_entry(3, 0, np.zeros(2, np.int64)) == 3
+assert dexterity_index(0.0, 0.0, 0.0) == 1.0
 print(twice.stats.cache_path)
-print(hold_entry.stats.cache_path)
+print(dexterity_index.stats.cache_path)
 """
 
 

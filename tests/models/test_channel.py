@@ -1,23 +1,48 @@
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import pytest
-from hiersched.models.channel.link_budget import large_scale_gain, snr_per_fading_power
 
-from hiersched.models.link.shannon import prb_rates
+from hiersched.core.compiled import kernel
+from hiersched.core.pointer import Pointer
+from hiersched.core.randomness import world_keys
+from hiersched.models.channel.path_loss import Macro
+from hiersched.models.link.shannon import ShannonWords, rate_prbs
+from hiersched.scenario import load_scenario
+from hiersched.simulator import Simulator
+from hiersched.simulator.loop_gains import nominal_gains
 
 PRB_MHZ = 10e6 / 25 * 1e-6
 
 
+class State(NamedTuple):
+    """What rates follow from, and where they go: one world with one user."""
+
+    fading_power: np.ndarray
+    snr: np.ndarray
+    prb_rate_mbps: np.ndarray
+
+
+@kernel()
+def rate_world(me, state):
+    rate_prbs(me, 0, state, 0, 0)
+
+
 def rates(fading_power, snr, prb_mhz=PRB_MHZ):
-    out = np.empty(len(fading_power), np.float32)
-    prb_rates(fading_power, np.full(len(fading_power), snr), prb_mhz, out)
-    return out
+    count = len(fading_power)
+    out = np.empty((1, 1, count), np.float32)
+    state = State(fading_power.reshape(1, 1, count), np.full((1, count), snr), out)
+    rate_world(Pointer(ShannonWords(prb_mhz)), Pointer(state))
+    return out[0, 0]
 
 
 def test_paper_link_budget_is_130_db():
     """20 dBm a PRB over −110 dBm of noise."""
-    assert 10 * np.log10(snr_per_fading_power(20.0, -110.0)) == pytest.approx(130.0, abs=1e-12)
+    scenario = load_scenario("paper")
+    world = Simulator(scenario, nominal_gains(scenario), world_keys("test", 1, 1), 1)
+    np.testing.assert_allclose(10 * np.log10(world.state.snr), 130.0, atol=1e-12)
 
 
 def test_one_prb_of_the_paper_carries_17_mbps():
@@ -28,7 +53,7 @@ def test_one_prb_of_the_paper_carries_17_mbps():
     expected = 0.4 * (13 * np.log2(10) + 1 - np.euler_gamma / np.log(2))
     assert expected == pytest.approx(17.34, abs=0.01)
     h2 = (2 * np.random.default_rng(1).exponential(size=200_000)).astype(np.float32)
-    got = rates(h2, snr_per_fading_power(20.0, -110.0)).astype(np.float64)
+    got = rates(h2, 1e13).astype(np.float64)
     assert got.mean() == pytest.approx(expected, abs=4 * got.std() / np.sqrt(h2.size))
 
 
@@ -46,9 +71,8 @@ def test_rate_at_hand_computed_points():
 
 
 def gains(key, users=4000, shadowing_db=0.0):
-    return large_scale_gain(
-        key, users, cell_radius_m=400.0, min_distance_m=35.0, shadowing_db=shadowing_db
-    )
+    keys = {"cell_radius_m": 400.0, "min_distance_m": 35.0, "shadowing_db": shadowing_db}
+    return Macro(model="macro", **keys).gain(key, users)
 
 
 def test_users_are_uniform_over_the_disc():

@@ -1,24 +1,28 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from hiersched.models.plant.reference import PathShape, driven_table, reference_table
+from hiersched.models.plant.reference import driven_table, reference_table
 
 STEP_S = 0.0025
-SHAPE = PathShape(
+SHAPE = SimpleNamespace(
     arc_radius_m=7.0,
     eight_half_width_m=3.0,
-    zigzag_heading_rad=math.pi / 3,
+    zigzag_heading_deg=60.0,
     zigzag_period_m=1.6,
 )
 
 
 def table(name, length_m, speed_mps=1.0, robots=1):
     steps = math.ceil(length_m / speed_mps / STEP_S)
-    return reference_table(name, SHAPE, speed_mps, STEP_S, steps, robots)
+    robot = SimpleNamespace(
+        reference=name, substep_s=STEP_S, speed_mps=speed_mps, **vars(SHAPE)
+    )  # fmt: skip
+    return reference_table(robot, steps, robots)
 
 
 def test_straight_stays_on_its_line():

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -14,8 +16,8 @@ from hiersched.core.compiled import kernel
 from hiersched.core.pointer import Pointer
 from hiersched.core.randomness import normal_scratch
 from hiersched.models.plant.error_model import discretise, unicycle_error_model
-from hiersched.models.plant.feedback import LoopConstants, hold_entry, loop_memory
-from hiersched.models.plant.reference import PathShape, driven_table, reference_table
+from hiersched.models.plant.feedback import LoopConstants, LoopMemory, entry_in_force
+from hiersched.models.plant.reference import driven_table, reference_table
 from hiersched.models.plant.unicycle import (
     CONTROL,
     LANES,
@@ -26,18 +28,17 @@ from hiersched.models.plant.unicycle import (
     STATE,
     WINDOW_SUMS,
     UnicycleWords,
-    _close_loop,
-    _gather_path,
     _move_lanes,
+    _sample,
 )
 
 LAG_S = 0.1
-SHAPE = PathShape(
-    arc_radius_m=10.0,
-    eight_half_width_m=4.0,
-    zigzag_heading_rad=math.pi / 3,
-    zigzag_period_m=1.6,
-)
+SHAPE = {
+    "arc_radius_m": 10.0,
+    "eight_half_width_m": 4.0,
+    "zigzag_heading_deg": 60.0,
+    "zigzag_period_m": 1.6,
+}
 
 
 def constants(reference="straight", *, step_s=0.0025, speed_mps=1.0, noise=0.0, max_delay=3,
@@ -49,16 +50,23 @@ def constants(reference="straight", *, step_s=0.0025, speed_mps=1.0, noise=0.0, 
             repeat=False, step_s=step_s, num_steps=4000, num_robots=1,
         )  # fmt: skip
     else:
-        table, offset = reference_table(reference, SHAPE, speed_mps, step_s, 4000, 1)
+        robot = SimpleNamespace(
+            reference=reference, substep_s=step_s, speed_mps=speed_mps, **SHAPE
+        )  # fmt: skip
+        table, offset = reference_table(robot, 4000, 1)
     decay = math.exp(-step_s / LAG_S)
     zeros = np.zeros((max_delay + 1, 2, 5))
     words = UnicycleWords(
         step_s=step_s, steps_per_slot=4, steps_per_sample=8, steps_per_window=400,
         lag_decay=decay, lag_mean=(1 - decay) * LAG_S / step_s, slip_decay=0.9, slip_gain_mps=0.0,
         slip_gain_radps=0.0, noise_position_m=noise, noise_heading_rad=2 * noise,
-        max_speed_mps=limit[0], max_turn_rate_radps=limit[1],
+        input_limits=np.array(limit),
         path=table.rows(), pose=table.pose, offset=offset, lanes=np.zeros((1, 1, 18 * LANES)),
-        memory=loop_memory(1, 1, 200, max_delay, 5, 2), normals=normal_scratch(1),
+        memory=LoopMemory(
+            history=np.zeros((1, 1, 201, 5)), commands=np.zeros((1, 1, max_delay + 1, 2)),
+            control=np.zeros((1, 1, 2)), held=np.zeros((1, 1, 2), np.int64),
+        ),
+        normals=normal_scratch(1, 5),
         gathered=np.zeros(4 * NUM_PATH * LANES),
     )  # fmt: skip
     loop = LoopConstants(
@@ -73,20 +81,27 @@ def constants(reference="straight", *, step_s=0.0025, speed_mps=1.0, noise=0.0, 
 
 # The kernels within the slot loop have no entry for Python.
 @kernel()
-def gather_path(path, place, steps, lane, gathered):
-    _gather_path(path, place, steps, lane, gathered)
+def move_lanes(me, path, lanes):
+    _move_lanes(me, path, lanes)
+
+
+class State(NamedTuple):
+    """What closing a loop notes."""
+
+    gain_delay_steps: np.ndarray
+
+
+class Slot(NamedTuple):
+    """What closing a loop goes by, and counts."""
+
+    delay_steps: np.ndarray
+    control_saturated: np.ndarray
 
 
 @kernel()
-def move_lanes(step_s, lag_mean, lag_decay, path, lanes):
-    _move_lanes(step_s, lag_mean, lag_decay, path, lanes)
-
-
-@kernel()
-def close_loop(me, loop, sample, delay_steps, entry):
-    """Close the loop of the first robot."""
-    memory = me.memory.history[0, 0], me.memory.commands[0, 0]
-    return _close_loop(me, loop, sample, delay_steps, entry, 0, me.lanes[0, 0], memory)
+def close_loop(me, loop, state, slot, sample):
+    """Measure the first robot and close its loop."""
+    _sample(me, me.lanes[0, 0], loop, state, slot, sample, 0, 0)
 
 
 def put(lanes, field, values, lane):
@@ -106,10 +121,10 @@ def move_in_lane(robot, state, control, slip, steps, place, lane):
     lanes = np.zeros_like(robot.lanes[0, 0])
     for field, values in ((STATE, state), (CONTROL, control), (SLIP, slip)):
         put(lanes, field, values, lane)
-    path = np.zeros(steps * NUM_PATH * LANES)
-    gather_path(robot.path, place, steps, lane, path)
+    path = np.zeros((steps, NUM_PATH, LANES))
+    path[:, :, lane] = robot.path[place : place + steps, :NUM_PATH]
     for step in path.reshape(steps, NUM_PATH * LANES):
-        move_lanes(robot.step_s, robot.lag_mean, robot.lag_decay, step, lanes)
+        move_lanes(Pointer(robot), step, lanes)
     return lanes
 
 
@@ -199,8 +214,10 @@ def random_gains(seed, max_delay=3, size=1.0):
 
 def close(robot, loop, sample, delay):
     """Close the loop of the robot with the gains of its delay: commands, and 1 at a limit."""
-    saturated = close_loop(Pointer(robot), Pointer(loop), sample, delay, delay)
-    return take(robot.lanes[0, 0], CONTROL, 2, 0), saturated
+    state = State(np.zeros((1, 1), np.uint32))
+    slot = Slot(np.array([delay], np.uint32), np.zeros(1, np.uint32))
+    close_loop(Pointer(robot), Pointer(loop), Pointer(state), Pointer(slot), sample)
+    return take(robot.lanes[0, 0], CONTROL, 2, 0), slot.control_saturated[0]
 
 
 @given(st.lists(st.integers(0, 3), min_size=8, max_size=20), st.integers(0, 100))
@@ -246,7 +263,8 @@ def test_gains_with_memory_see_the_commands_that_were_applied(delays, seed):
 @given(st.lists(st.integers(0, 6), min_size=1, max_size=60), st.integers(0, 5))
 def test_entries_are_held_as_the_control_library_says(delays, hold_samples):
     held = np.zeros(2, np.int64)
-    entries = [hold_entry(delay, hold_samples, held) for delay in delays]
+    loop = constants(max_delay=6)[1]._replace(hold_samples=hold_samples)
+    entries = [entry_in_force(loop, delay, held) for delay in delays]
     assert entries == hold_delays(delays, hold_samples).tolist()
 
 

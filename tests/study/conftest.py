@@ -25,10 +25,11 @@ from hiersched.log import TOPICS, LogDims, LogWriter
 from hiersched.scenario import Scenario, load_scenario
 from hiersched.scenario.schema import checkpoint_rounds
 from hiersched.simulator.loop_gains import plant_of
+from hiersched.study.built_in import shown
 from hiersched.study.fifo import backlog_path, deadline_in_slots, late_packets
 from hiersched.study.measure import measure, measured_groups
 from hiersched.study.metrics import measured_row
-from hiersched.study.registry import CLAIMS, FIGURES, TABLES, Shown, shown
+from hiersched.study.registry import CLAIMS, FIGURES, TABLES, Shown
 from hiersched.study.show import show
 from hiersched.study.study import Study
 

@@ -14,7 +14,15 @@ import pytest
 from scipy import stats
 
 from hiersched.scenario import Scenario
-from hiersched.study.claims.report import BEGIN, END, claim_json, insert_table, join_claims
+from hiersched.study.built_in import shown
+from hiersched.study.claims.report import (
+    BEGIN,
+    END,
+    claim_json,
+    claims_markdown,
+    insert_table,
+    join_claims,
+)
 from hiersched.study.claims.verdicts import (
     Condition,
     Judged,
@@ -24,7 +32,7 @@ from hiersched.study.claims.verdicts import (
     flipping,
     verdict_of,
 )
-from hiersched.study.registry import CLAIMS, shown
+from hiersched.study.registry import CLAIMS
 from hiersched.study.statistics import Interval, halvings, mean_interval
 from hiersched.study.study import Study
 
@@ -436,6 +444,14 @@ def test_bounds_that_are_not_finite_are_null() -> None:
     assert (written["claimed_above"], written["claimed_below"]) == (None, 0.5)
 
 
+def test_what_flips_a_claim_is_named(claims: dict[int, Judged], scenario: Scenario) -> None:
+    document = claim_json(CLAIMS["claim3"], claims[3])
+    assert document["flipped_by"] == ["traffic.load = 1.0", "traffic.load_ratio = 0.7"]
+    text = claims_markdown([document], scenario)
+    (row,) = [line for line in text.splitlines() if "(Fig. 4)" in line]
+    assert "**depends** | 100 % | traffic.load = 1.0; traffic.load_ratio = 0.7 |" in row
+
+
 def test_the_readme_gets_its_table_from_the_file(claims: dict[int, Judged]) -> None:
     documents = [claim_json(CLAIMS[f"claim{number}"], own) for number, own in claims.items()]
     document = json.dumps({"claims": documents})
@@ -444,9 +460,13 @@ def test_the_readme_gets_its_table_from_the_file(claims: dict[int, Judged]) -> N
     assert text.endswith(f"\n{END}\nafter\n")
     assert "old" not in text
     assert insert_table(text, document) == text
-    (row,) = [line for line in text.splitlines() if line.startswith("| 3 |")]
-    assert "eMBB rate − URLLC rate: 2.0000 [" in row
-    assert "**depends** | 100 % | traffic.load = 1.0; traffic.load_ratio = 0.7 |" in row
+    rows = {line.split("|")[1].strip(): line for line in text.splitlines() if "|" in line}
+    assert rows["3"].endswith(
+        "(Fig. 4) | eMBB rate − URLLC rate: 2.0000 [1.9961, 2.0039] Mbit/s | **depends** |"
+    )
+    first, second, *_ = documents[1]["base"]["statements"]
+    assert first["text"] in rows["2"]
+    assert second["name"] not in rows["2"]
     with pytest.raises(ValueError, match="claims: begin"):
         insert_table("no marks", document)
 

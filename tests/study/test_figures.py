@@ -14,6 +14,7 @@ from matplotlib.text import Annotation
 
 from hiersched.log import LogReader
 from hiersched.scenario import Scenario
+from hiersched.study.built_in import shown
 from hiersched.study.figures.comparison import (
     delay_tails,
     draw_load,
@@ -33,7 +34,7 @@ from hiersched.study.figures.style import (
     zero_floor,
 )
 from hiersched.study.figures.training import training_curve
-from hiersched.study.registry import FIGURES, Shown, shown
+from hiersched.study.registry import FIGURES, Shown
 from hiersched.study.study import Study
 
 Planted = Callable[..., Study]

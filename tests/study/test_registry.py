@@ -12,9 +12,10 @@ import pandas as pd
 import pytest
 
 from hiersched.scenario import Scenario, ScenarioError
+from hiersched.study.built_in import shown
 from hiersched.study.claims.report import join_claims
 from hiersched.study.figures.style import house_style
-from hiersched.study.registry import CLAIMS, FIGURES, TABLES, shown
+from hiersched.study.registry import CLAIMS, FIGURES, TABLES
 from hiersched.study.show import show
 from hiersched.study.study import Study
 
@@ -72,10 +73,10 @@ SWEPT_GAINS = {"gain_sweeps", "figX_gain_sweeps"}
             "sweeps: {axes: {reference: {vary: {robot.reference: [arc], traffic.load: [0.9]}}}}\n",
             {"fig7_dexterity", "claim7"},
         ),
-        # Nobody runs along it, or nobody whom the figure compares.
+        # Nobody runs along it, or nobody whom the figures compare.
         (
-            "sweeps: {axes: {reference: {policies: []}}}\n",
-            {"fig7_dexterity", "claim7"},
+            "sweeps: {policies: [alt], axes: {reference: {policies: own}}}\n",
+            {"fig5_rayleigh", "fig6_sampling", "fig7_dexterity", "claim7"},
         ),
         ("sweeps: {axes: {reference: {policies: [edf]}}}\n", {"fig7_dexterity"}),
         ("sweeps: {axes: {load: {policies: [edf]}}}\n", {"learners", "figX_learners"}),
