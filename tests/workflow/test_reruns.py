@@ -3,94 +3,99 @@
 from __future__ import annotations
 
 import os
-import re
 import shutil
-import subprocess
-import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from hiersched.runs import paths
-from hiersched.runs.variants import SWEPT_KEYS
 
-from hiersched.scenario import Scenario, load_scenario
+from hiersched.scenario import load_scenario
 
 pytestmark = pytest.mark.slow
 
 SMOKE = "src/hiersched/config/scenarios/smoke.yaml"
+MINE = """
+extends: smoke
+plugins: [my_figures.py, my_rules.py]
+policies: {mine: {import: "my_rules:flat"}}
+evaluate: {policies: [ddpg, a2c, pf, edf, mine]}
+sweeps: {axes: {packets: {vary: {traffic.packet_bits: [1.0e+4, 2.0e+4]}, policies: [edf]}}}
+"""
+FIGURES = """
+from hiersched.study.registry import figure
+
+
+@figure("mine", title="Mine.", reads=("runs",))
+def my_figure(study):
+    return None
+"""
+RULES = """
+def flat(view):
+    return view.backlog_packets * 0.0 + 1.0
+"""
+
 GROUPS = ("classical", "ddpg", "a2c")
-ALWAYS = {"aggregate", "claims", "figures"}
-DDPG = {"train_ddpg", "evaluate_ddpg", *(f"sweep_{axis}_ddpg" for axis in SWEPT_KEYS)}
-DDPG |= {"generalise_ddpg", "measure_ddpg", "bound"}
-A2C = {"train_a2c", "evaluate_a2c", "sweep_load_a2c", "generalise_a2c", "measure_a2c", "bound"}
-LEARNED = DDPG | A2C | {"train_frozen", "train_frozen_a2c"}
-CLASSICAL = {"evaluate_classical", *(f"sweep_{axis}_classical" for axis in SWEPT_KEYS)}
-CLASSICAL |= {"generalise_classical", "measure_classical", "bound"}
+AXES = tuple(load_scenario("smoke").sweeps.axes)
 MEASURES = {f"measure_{group}" for group in GROUPS}
-GAIN_SWEEPS = {f"gain_sweep_{axis}" for axis in ("grid", "sampling_s", "noise")}
-EVERY_RUN = {*LEARNED, *CLASSICAL, "gain_study", *GAIN_SWEEPS}
-
-
-def snakemake(tree: Path, *words: str) -> str:
-    done = subprocess.run(
-        [sys.executable, "-m", "snakemake", *words, "--config", "scenarios=[smoke]"],
-        cwd=tree,
-        env={**os.environ, "PYTHONPATH": str(tree / "src")},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout + done.stderr
-
-
-def to_run(tree: Path) -> set[str]:
-    """Jobs of a dry run, without the scenario's name; `all` and `resolve` follow every value."""
-    text = snakemake(tree, "-n")
-    if "Nothing to be done" in text:
-        return set()
-    table = text.split("Job stats:")[1].split("total")[0]
-    names = set(re.findall(r"^(\w+) +\d+$", table, re.MULTILINE))
-    return {name.removesuffix("_smoke") for name in names} - {"all", "resolve"}
-
-
-def outputs(scenario: Scenario) -> list[str]:
-    return [
-        paths.SCENARIO,
-        *map(paths.progress_file, scenario.learned),
-        paths.STABILITY,
-        *paths.all_gain_files(scenario),
-        *(name for learner in scenario.learned for name in paths.policy_files(scenario, learner)),
-        *paths.all_logs(scenario),
-        *(name for group in GROUPS for name in paths.evaluation_outputs(scenario, group)),
-        *(name for group in GROUPS for name in paths.measured_files(scenario, group)),
-        *paths.measures_files(scenario),
-        paths.RUNS,
-        paths.BOUND,
-        *paths.CLAIMS,
-        *(f"figures/{name}.{end}" for name in paths.FIGURES for end in ("svg", "png")),
-        *(f"tables/{name}.{end}" for name in paths.TABLES for end in ("csv", "md")),
-    ]
+DDPG = {f"{name}_ddpg" for name in ("train", "evaluate", "generalise", "measure", *AXES)}
+A2C = {f"{name}_a2c" for name in ("train", "evaluate", "generalise", "measure", "load")}
+FROZEN = {f"{name}_{own}" for name in ("train", "measure") for own in ("frozen", "frozen_a2c")}
+LEARNED = {*DDPG, *A2C, *FROZEN, "bound"}
+SWEEPS = {f"{axis}_classical" for axis in (*AXES, "packets")}
+CLASSICAL = {*SWEEPS, "evaluate_classical", "generalise_classical", "measure_classical", "bound"}
+GAIN_RUNS = {f"gain_{name}_gains" for name in ("study", "grid", "sampling_s", "noise")}
+GAINS = {*GAIN_RUNS, "measure_gains"}
+EVERY_RUN = {*LEARNED, *CLASSICAL, *GAINS}
 
 
 @pytest.fixture(scope="module")
-def tree(project_root: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A copy of the project whose results are stand-ins that Snakemake takes for made."""
+def project(
+    project_root: Path, tmp_path_factory: pytest.TempPathFactory, snakemake: Callable
+) -> tuple[Path, set[str]]:
+    """A copy of the project, its results stand-ins that Snakemake takes for made; its rules."""
     copy = tmp_path_factory.mktemp("project")
-    shutil.copy(project_root / "Snakefile", copy)
     ignored = shutil.ignore_patterns("__pycache__")
     shutil.copytree(project_root / "src", copy / "src", ignore=ignored)
-    os.chdir(project_root)
-    names = [f"results/smoke/{name}" for name in outputs(load_scenario("smoke"))]
-    kernels = re.search(r"results/\.kernels/\w+\.txt", snakemake(copy, "-n"))
-    assert kernels is not None
-    for name in (*names, kernels[0]):
+    for name, text in (("mine.yaml", MINE), ("my_figures.py", FIGURES), ("my_rules.py", RULES)):
+        (copy / name).write_text(text, encoding="utf-8")
+    given = {"scenario": "mine.yaml", "source": copy / "src"}
+    listed = snakemake(copy, "--summary", **given)
+    assert listed.returncode == 0, listed.stderr
+    lines = [line.split("\t") for line in listed.stdout.splitlines() if "\t" in line]
+    place = lines[0].index("rule")
+    assert len(lines) > 200
+    for name, *_ in lines[1:]:
         (copy / name).parent.mkdir(parents=True, exist_ok=True)
         (copy / name).write_text("stand-in\n", encoding="utf-8")
-    snakemake(copy, "--cores", "1", "--touch", "--forceall", "--quiet")
-    return copy
+    touched = snakemake(copy, "--cores", "1", "--touch", "--forceall", **given)
+    assert touched.returncode == 0, touched.stderr
+    return copy, {line[place].removesuffix("_mine") for line in lines[1:]}
+
+
+@pytest.fixture(scope="module")
+def tree(project: tuple[Path, set[str]]) -> Path:
+    """The copy of the project."""
+    return project[0]
+
+
+@pytest.fixture(scope="module")
+def shown(project: tuple[Path, set[str]]) -> set[str]:
+    """Jobs of everything that is shown: it follows every value."""
+    jobs = {job for job in project[1] if job.startswith(("table_", "figure_", "claim"))}
+    assert len(jobs) > 40
+    return jobs
+
+
+@pytest.fixture
+def to_run(tree: Path, snakemake: Callable, planned: Callable) -> Callable[[], set[str]]:
+    """Jobs of a dry run; `resolve` follows every value."""
+
+    def jobs() -> set[str]:
+        names = planned(snakemake(tree, "-n", scenario="mine.yaml", source=tree / "src"))
+        return {name.removesuffix("_mine") for name in names} - {"resolve"}
+
+    return jobs
 
 
 @contextmanager
@@ -108,11 +113,10 @@ def edited(tree: Path, *edits: tuple[str, str, str]) -> Iterator[None]:
             (tree / name).write_bytes(content)
 
 
-def test_nothing_runs_when_nothing_changed(tree: Path) -> None:
-    assert to_run(tree) == set()
+# Values.
 
 
-def test_comments_and_the_order_of_keys_run_nothing(tree: Path) -> None:
+def test_comments_and_the_order_of_keys_run_nothing(tree: Path, to_run: Callable) -> None:
     module = '"""Reads logs'
     with edited(
         tree,
@@ -130,86 +134,118 @@ def test_comments_and_the_order_of_keys_run_nothing(tree: Path) -> None:
         ("src/hiersched/workflow/rules/run.smk", "for s in", "# A remark.\nfor s in"),
         ("src/hiersched/workflow/scripts/train.py", '"""Train', '"""Do train'),
     ):
-        assert to_run(tree) == set()
+        assert to_run() == set()
 
 
-def test_a_value_runs_its_dependents(tree: Path) -> None:
-    with edited(tree, (SMOKE, "duration_s: 3.0", "duration_s: 4.0")):
-        assert to_run(tree) == {
-            "evaluate_classical",
-            "evaluate_ddpg",
-            "evaluate_a2c",
-            "bound",
-            *MEASURES,
-            *ALWAYS,
+def test_a_value_runs_its_dependents(tree: Path, to_run: Callable, shown: set[str]) -> None:
+    """Of a part of the study, an axis, a learner; what else is shown of the study stays."""
+    with edited(
+        tree,
+        (SMOKE, "duration_s: 3.0", "duration_s: 4.0"),
+        (SMOKE, "traffic.load: [0.85, 1.0]", "traffic.load: [0.85, 0.95]"),
+        (SMOKE, "weight: [100.0]", "weight: [100.0, 300.0]"),
+    ):
+        assert to_run() == {
+            *(f"{name}_{group}" for name in ("evaluate", "load", "measure") for group in GROUPS),
+            *("gains_schedule_weight_300", "gain_grid_gains", "measure_gains", "stability"),
+            *("bound", *shown),
+        }
+    old = "control.sampling_s: [0.02, 0.05]}}\n    ref"
+    with edited(
+        tree,
+        (SMOKE, "a2c: {algorithm: a2c}", "a2c: {algorithm: a2c, actor_lr: 1.0e-3}"),
+        (SMOKE, old, old.replace("0.05", "0.04")),
+    ):
+        assert to_run() == {
+            *(A2C | {"bound", *shown}),
+            *(f"{name}_{group}" for name in ("sampling_s", "measure") for group in GROUPS[:2]),
+            "gains_schedule_sampling_s_0.04",
         }
 
 
-def test_two_swapped_values_are_a_change(tree: Path) -> None:
-    with edited(
-        tree,
-        (SMOKE, "  episodes: ", "  actor_lr: 1.0e-3\n  critic_lr: 5.0e-4\n  episodes: "),
-    ):
-        assert to_run(tree) == {*LEARNED, *ALWAYS}
+def test_two_swapped_values_are_a_change(tree: Path, to_run: Callable, shown: set[str]) -> None:
+    new = "  actor_lr: 1.0e-3\n  critic_lr: 5.0e-4\n  episodes: "
+    with edited(tree, (SMOKE, "  episodes: ", new)):
+        assert to_run() == LEARNED | shown
 
 
-def test_a_learners_own_key_runs_that_learner(tree: Path) -> None:
-    new = "a2c: {algorithm: a2c, actor_lr: 1.0e-3}"
-    with edited(tree, (SMOKE, "a2c: {algorithm: a2c}", new)):
-        assert to_run(tree) == {*A2C, *ALWAYS}
+def test_a_swept_keys_own_value_does_not_run_its_sweep(
+    tree: Path, to_run: Callable, shown: set[str]
+) -> None:
+    """All others' own loads are other loads; trained policies are others wherever they run."""
+    with edited(tree, (SMOKE, "traffic:\n", "traffic:\n  load: 0.7\n")):
+        assert to_run() == (EVERY_RUN - {"load_classical"}) | shown
 
 
-def test_a_new_point_of_a_sweep_runs_that_sweep(tree: Path) -> None:
-    with edited(tree, (SMOKE, "load: [0.85, 1.0]", "load: [0.85, 0.95]")):
-        assert to_run(tree) == {f"sweep_load_{group}" for group in GROUPS} | MEASURES | ALWAYS
-
-
-def test_a_new_sampling_interval_designs_its_gains(tree: Path) -> None:
-    with edited(tree, (SMOKE, "sampling_s: [0.02, 0.05]", "sampling_s: [0.02, 0.04]")):
-        axes = ("sampling_s", "service_coefficient_mbps")
-        pair = ("classical", "ddpg")
-        sweeps = {f"sweep_{axis}_{group}" for axis in axes for group in pair}
-        sweeps |= {f"measure_{group}" for group in pair}
-        gains = {"gains", "gain_sweep_sampling_s", "stability"}
-        assert to_run(tree) == {*gains, *sweeps, *ALWAYS}
-
-
-def test_a_new_weight_of_the_gain_study_designs_its_gains(tree: Path) -> None:
-    with edited(tree, (SMOKE, "weight: [100.0]", "weight: [100.0, 300.0]")):
-        assert to_run(tree) == {"gains", "gain_sweep_grid", "stability", *ALWAYS}
-
-
-def test_the_regulator_runs_everything(tree: Path) -> None:
+def test_the_regulator_runs_everything(tree: Path, to_run: Callable, shown: set[str]) -> None:
     with edited(tree, (SMOKE, "gain_study:", "control: {weight: 500.0}\ngain_study:")):
-        assert to_run(tree) == {"gains", "stability", *EVERY_RUN, *ALWAYS}
+        found = to_run()
+    gains = {job for job in found if job.startswith("gains_")}
+    assert "gains_schedule" in gains
+    # The grid varies the weight itself.
+    assert found - gains == {"stability", *EVERY_RUN, *shown} - {"gain_grid_gains"}
+
+
+# Code.
+
+LINE = "from __future__ import annotations\n"
+
+
+def test_an_edited_figure_table_or_claim_is_made_alone(tree: Path, to_run: Callable) -> None:
+    more = "(study: Study) -> {0}:\n", "(study: Study) -> {0}:\n    print(study)\n"
+    edits = [
+        (f"src/hiersched/study/{file}", *(f"def {name}{text.format(kind)}" for text in more))
+        for file, name, kind in (
+            ("figures/rates.py", "draw_sampling", "Figure"),
+            ("tables/policies.py", "score_table", "pd.DataFrame"),
+            ("claims/judged.py", "queues_over_scale", "Judged"),
+        )
+    ]
+    with edited(tree, *edits):
+        assert to_run() == {"figure_fig6_sampling", "table_scores", "claim5", "claims"}
+
+
+def test_a_plugin_runs_what_it_is_used_for(tree: Path, to_run: Callable) -> None:
+    """One that only adds a figure draws that figure; a rule's, every job that loads it."""
+    with edited(tree, ("my_figures.py", "return None", "return 1")):
+        assert to_run() == {"figure_mine"}
+    with edited(tree, ("my_rules.py", "+ 1.0", "+ 2.0")):
+        assert {"evaluate_classical", "load_classical", "measure_classical"} <= to_run()
 
 
 @pytest.mark.parametrize(
     ("modules", "jobs"),
     [
-        (["study/figures.py"], {"figures"}),
+        (["learning/ddpg.py"], LEARNED),
+        (["experiments/bound.py", "experiments/stability.py"], {"bound", "stability"}),
         (
-            ["learning/ddpg.py", "runs/gain_study.py"],
-            {*LEARNED, "gain_study", *GAIN_SWEEPS, *ALWAYS},
+            ["study/measure.py"],
+            {*MEASURES, "measure_gains", "measure_frozen", "measure_frozen_a2c"},
         ),
-        # Jobs of learned policies measure the runs that they do not log.
-        (["study/metrics.py"], {j for j in LEARNED if "train" not in j} | MEASURES | ALWAYS),
-        (["policies/index_rules.py"], {"gains", "kernels", "stability", *EVERY_RUN, *ALWAYS}),
+        (["policies/index_rules.py"], {"kernels", "stability", *EVERY_RUN}),
     ],
 )
-def test_code_runs_its_dependents(tree: Path, modules: list[str], jobs: set[str]) -> None:
-    line = "from __future__ import annotations\n"
-    new = (line, f"{line}\nNEW = 1\n")  # the workflow itself imports some of them
+def test_code_runs_its_dependents(
+    tree: Path, to_run: Callable, shown: set[str], modules: list[str], jobs: set[str]
+) -> None:
+    new = (LINE, f"{LINE}\nNEW = 1\n")  # the workflow itself imports some of them
     with edited(tree, *((f"src/hiersched/{module}", *new) for module in modules)):
-        assert to_run(tree) == jobs
+        found = to_run()
+    ours = {job for job in found if not job.startswith(("table_", "figure_", "claim", "gains_"))}
+    assert ours == jobs
+    assert (found - ours) & shown
 
 
-def test_a_missing_log_is_made_again(tree: Path) -> None:
-    log = tree / "results/smoke/eval/pf/seed101.mcap"
+def test_a_missing_log_is_made_again(tree: Path, to_run: Callable) -> None:
+    log = tree / "results/mine/runs/evaluate/pf/seed101.mcap"
     content, stat = log.read_bytes(), log.stat()
     log.unlink()
     try:
-        assert to_run(tree) == {"evaluate_classical", "measure_classical", "bound", *ALWAYS}
+        found = to_run()
     finally:
         log.write_bytes(content)
         os.utime(log, ns=(stat.st_atime_ns, stat.st_mtime_ns))
+    ours = {job for job in found if not job.startswith(("table_", "figure_", "claim"))}
+    assert ours == {"evaluate_classical", "measure_classical", "bound"}
+    assert {"table_policies", "table_bound", "claim10"} <= found
+    assert not {"table_table1_parameters", "table_gains", "claim1"} & found

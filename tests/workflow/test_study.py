@@ -41,7 +41,7 @@ def test_every_point_of_every_axis_is_a_row(sweeps: pd.DataFrame) -> None:
 
 
 def test_rows_show_what_the_swept_key_does(sweeps: pd.DataFrame) -> None:
-    """Without loss rates are higher; the same loss twice is the same; every eMBB user takes PRBs."""
+    """Without loss rates are higher; the same loss twice is the same; eMBB users take PRBs."""
     pf = sweeps[sweeps["policy"] == "pf"].set_index(["axis", "value"])["urllc_rate_mbps"]
     assert pf["loss"]["none"] > pf["both"]["2_2"] > pf["both"]["3_2"]
     assert pf["loss"]["my_power_law-exponent-3"] == pf["both"]["3_2"]

@@ -84,3 +84,17 @@ def shown_files(scenario):
     names += [f"tables/{name}.csv" for name in shown(TABLES, scenario)]
     names += files.CLAIMS if shown(CLAIMS, scenario) else []
     return inside(scenario, names)
+
+
+def all_logs(scenario):
+    """Every log of a study, and measures of runs that have none."""
+    names = [
+        name
+        for e in experiments(scenario).values()
+        for group in groups(scenario, e)
+        for name in files.group_files(scenario, e, group)
+    ]
+    names += [
+        n for learner in trained_learners(scenario) for n in files.learner_logs(scenario, learner)
+    ]
+    return inside(scenario, names)
