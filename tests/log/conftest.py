@@ -27,7 +27,7 @@ def make_fields(slots: int, dims: LogDims, seed: int = 0) -> Fields:
     rng = np.random.default_rng(seed)
     fields: Fields = {}
     for topic in topics_in("full", dims.num_model_values).values():
-        for field in topic.fields:
+        for field in topic.fields_in("full"):
             shape = (slots, *field.sized(dims.sizes))
             raw = rng.bytes(int(np.prod(shape)) * np.dtype(field.dtype).itemsize)
             fields[field.name] = np.frombuffer(raw, field.dtype).reshape(shape)

@@ -31,7 +31,7 @@ slot = 0
 while True:
     fields = {
         field.name: np.full((1, *field.sized(dims.sizes)), slot, field.dtype)
-        for topic in topics_in("full").values() for field in topic.fields
+        for topic in topics_in("full").values() for field in topic.fields_in("full")
     }
     log.write_block(slot, fields)
     log.event(slot, "INFO", "run", f"slot {slot}")

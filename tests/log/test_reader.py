@@ -59,9 +59,9 @@ def test_every_bit_comes_back(
     if "/models" in content:
         models = {"num_model_values": "8", "model_fields": content["metadata"]["model_fields"]}
     for name, topic in topics_in("full", len(models)).items():
-        assert list(content[name]) == ["slot", *(field.name for field in topic.fields)]
+        assert list(content[name]) == ["slot", *(field.name for field in topic.fields_in("full"))]
         assert content[name]["slot"].tolist() == list(range(SLOTS))
-        for field in topic.fields:
+        for field in topic.fields_in("full"):
             assert same_bits(content[name][field.name], fields[field.name])
     assert content["metadata"] == {
         "scenario": "test", "seed": "1", "policy": "pf", "schema_version": "1", "profile": "full",

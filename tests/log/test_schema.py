@@ -72,7 +72,7 @@ def test_topics_table_is_the_record_of_the_simulator() -> None:
     table = {
         field.name: (np.dtype(field.dtype), (2, *field.sized(dims.sizes)))
         for topic in topics_in("full", 8).values()
-        for field in topic.fields
+        for field in topic.fields_in("full")
     }
     assert {name: (values.dtype, values.shape) for name, values in record.items()} == table
 

@@ -25,7 +25,7 @@ def test_frames_hold_every_bit(tmp_path: Path, random_fields: Any, write_log: An
             assert table["slot"].tolist() == list(range(SLOTS))
             assert table["time_s"].tolist() == [slot / 100 for slot in range(SLOTS)]
             names = []
-            for field in TOPICS[topic].fields:
+            for field in TOPICS[topic].fields_in("full"):
                 array = fields[field.name].reshape(SLOTS, -1)
                 places = list(np.ndindex(*fields[field.name].shape[1:]))
                 for column, place in zip(array.T, places, strict=True):
