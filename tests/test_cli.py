@@ -42,7 +42,7 @@ def test_show_prints_what_loads_to_the_same(tmp_path: Path, capsys: pytest.Captu
         ("radio: {num_prbs: 3}", "radio.num_prbs = 3: unknown key; allowed: slot_s, "),
         ("radio: {tx_power_dbm: 1e1}", "write 1.0e-3"),
         ("users: {num_urllc: 40}", "at most radio.num_prb = 25"),
-        ("sweeps: {sampling_s: [0.03]}", "sweeps.sampling_s = 0.03: robot.window_s"),
+        ("control: {sampling_s: 0.03}", "control.sampling_s = 0.03"),
         ("radio: {num_prb: 3", "not valid YAML"),
         ("traffic: {load: -1}", "traffic.load = -1"),
         ("- 1", "a scenario is a mapping of sections"),

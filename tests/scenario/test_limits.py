@@ -16,10 +16,12 @@ ROOT = Path(__file__).resolve().parents[2]
     [
         # (0.01 s * 300 * 24 Mbit/s + 0.1 * 20 Mbit/s * 0.03 s) / (4 * 0.01 Mbit) = 1801.5
         ("traffic: {load: 300.0}", ["traffic.load = 300.0", "1801.5 batches", "600"]),
-        ("sweeps: {load: [0.9, 300.0]}", ["sweeps.load = 300.0", "600"]),
-        ("sweeps: {load: [0.9, 0.9]}", ["sweeps.load = [0.9, 0.9]", "every value once"]),
+        (
+            "sweeps: {axes: {load: {vary: {traffic.load: [0.9, 0.9]}}}}",
+            ["sweeps.axes.load.vary.traffic.load = [0.9, 0.9]", "every value once"],
+        ),
         ("learning: {weight_exponent: 100.0}", ["weight_exponent = 100.0", "less than or equal"]),
-        ("control: {max_delay_s: 5.0}", ["control.max_delay_s = 5.0", "1000 samples", "200"]),
+        ("control: {max_delay_s: 5.0}", ["control.max_delay_s = 5.0", "250 samples", "200"]),
     ],
 )
 def test_what_cannot_run_is_refused(tmp_path, text, words):

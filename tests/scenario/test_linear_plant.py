@@ -24,7 +24,8 @@ def load_plant(load_text):
         data = {
             "control": control or {},
             "plant": {"model": "linear", **SECTION, **(section or {})},
-            "sweeps": {"sampling_s": [0.02]},
+            "sweeps": {"axes": {"sampling_s": None, "service_coefficient_mbps": None}},
+            "gain_study": {"sampling_s": []},
             **others,
         }
         return load_text(yaml.safe_dump(data))
@@ -74,7 +75,14 @@ def test_faulty_plants_are_refused(load_plant, section, words):
     ("changes", "words"),
     [
         ({"control": {"sampling_s": 0.025}}, ["control.sampling_s = 0.025", "radio.slot_s = 0.01"]),
-        ({"sweeps": {"sampling_s": [0.02, 0.04]}}, ["sweeps.sampling_s", "must be [0.02]"]),
+        (
+            {"sweeps": {"axes": {"sampling_s": {"vary": {"control.sampling_s": [0.02, 0.04]}}}}},
+            ["sweeps.axes.sampling_s.vary.control.sampling_s = [0.02, 0.04]", "must be [0.02]"],
+        ),
+        (
+            {"gain_study": {"sampling_s": [0.04]}},
+            ["gain_study.sampling_s = [0.04]: must be [0.02] or none"],
+        ),
         ({"control": {"method": "razumikhin"}}, ["'razumikhin'", "plant.A_d"]),
         (
             {"section": {"A_d": [[0.0, 0.0], [0.0, 0.0]]}, "control": {"method": "h2"}},

@@ -76,6 +76,8 @@ def test_overlay_replaces_what_it_names_and_nothing_else(load_text, config):
     )
     defaults = yaml.safe_load((config / "defaults.yaml").read_text(encoding="utf-8"))
     defaults["control"]["hold_samples"] = 5  # null: as long as gain schedules are held
+    for axis in defaults["sweeps"]["axes"].values():
+        axis.setdefault("policies", None)  # those of `sweeps.policies`
     assert scenario_to_dict(plain) == {"name": "plain", **defaults}
 
 
@@ -144,6 +146,9 @@ def test_defaults_explain_every_key_of_the_schema(config, load_text):
         keys -= {section}
         keys |= {f"{section}.{field.name}" for field in fields(model_at(defaults, section))}
     notes = parameter_notes(config / "defaults.yaml")
+    keys -= {"sweeps.axes"}
+    keys |= {f"sweeps.axes.{name}.vary" for name in defaults.sweeps.axes}
+    keys |= {f"sweeps.axes.{n}.policies" for n, a in defaults.sweeps.axes.items() if a.policies}
     assert {note.key for note in notes} == keys
     assert len(notes) == len(keys)
     assert {note.origin for note in notes} == {"paper", "assumed"}

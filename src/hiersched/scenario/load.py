@@ -219,6 +219,8 @@ def load_scenario(name_or_path: str | Path, *, defaults: Path | None = None) -> 
     defaults = DEFAULTS if defaults is None else defaults
     overlays = _read_overlays(path)
     merged = _read_yaml(defaults)
+    if not _missing_keys(overlays[-1][1]):  # a resolved scenario: axes that it lacks are not wanted
+        merged = {}
     for _, overlay in reversed(overlays):
         merged = _merge(merged, overlay)
     sources = [*overlays, (defaults, {})]
