@@ -9,11 +9,11 @@ from types import ModuleType
 
 import pytest
 import yaml
-from hiersched.runs import dependencies
-from hiersched.runs.variants import swept_policies
 
 from hiersched.core import registry
 from hiersched.core.registry import ALGORITHMS, PluginError, load_plugin
+from hiersched.experiments import dependencies
+from hiersched.experiments.points import experiments
 from hiersched.models.model import PATH_LOSS, SECTIONS
 from hiersched.policies.find import ImportedPolicy
 from hiersched.policies.registry import RULES
@@ -240,7 +240,7 @@ def test_a_plugin_is_found_beside_the_scenario_or_from_where_one_works(
         ("steps: 2", "radio.path_loss.exponent: missing"),
         ("exponent: 3.5, heights_m: [1.0, low]", "path_loss.heights_m.1 = 'low'"),
         ("exponent: 3.5, steps: 21", "radio.path_loss.steps = 21: at most 20 users"),
-        ("exponent: 30.0", "the signal-to-noise ratio goes from -182.041 dB"),
+        ("exponent: 30.0", "the signal-to-noise ratio goes from -170 dB"),
     ],
 )
 def test_faults_of_a_plugins_model(load_text, plugin, keys, line):
@@ -403,25 +403,29 @@ def test_sweeps_of_the_rayleigh_scale_need_a_scale(load_text, plugin):
         '    model: Literal["flat"] = "flat"\n'
     )
     text = f"plugins: [{path.name}]\nradio: {{fading: {{model: flat}}}}\n"
-    message = fails(load_text, text)
-    assert "sweeps.rayleigh_scale = [0.25, 0.5, 1.0, 2.0, 4.0]: must be [] with" in message
-    scenario = load_text(f"{text}sweeps: {{rayleigh_scale: []}}")
+    with pytest.raises(ScenarioError, match=r"rayleigh_scale.*radio\.fading\.scale"):
+        experiments(load_text(text))
+    scenario = load_text(f"{text}sweeps: {{axes: {{rayleigh_scale: null}}}}")
     # The default's key `scale` is gone with its model.
     assert scenario_to_dict(scenario)["radio"]["fading"] == {"model": "flat"}
-    assert swept_policies(scenario, "rayleigh_scale") == ()
+    assert "rayleigh_scale" not in experiments(scenario)
 
 
 # What a job depends on.
+
+
+def values_of(scenario, name, group="classical"):
+    return dependencies.run_values(scenario, experiments(scenario)[name], group)
 
 
 def test_an_edited_plugin_changes_what_uses_it_and_nothing_else(load_text, plugin):
     def jobs():
         scenario = load_text(wanted(path, more="control: {max_delay_s: 0.04}\n"))
         return {
-            "evaluate": dependencies.evaluate_values(scenario, "classical"),
-            "sweep": dependencies.sweep_values(scenario, "load", "classical"),
+            "evaluate": values_of(scenario, "evaluate"),
+            "load": values_of(scenario, "load"),
             "train": dependencies.train_values(scenario, "ddpg"),
-            "gain_study": dependencies.gain_study_values(scenario),
+            "gain_study": values_of(scenario, "gain_study", "gains"),
             "gains": dependencies.gains_values(scenario, "schedule"),
             "stability": dependencies.stability_values(scenario),
         }
@@ -436,7 +440,7 @@ def test_an_edited_plugin_changes_what_uses_it_and_nothing_else(load_text, plugi
     after = jobs()
     for one, other in ((before, after_helper), (after_helper, after)):
         changed = {name for name in one if one[name] != other[name]}
-        assert changed == {"evaluate", "sweep", "train", "gain_study"}
+        assert changed == {"evaluate", "load", "train", "gain_study"}
 
 
 # Old keys.
@@ -590,8 +594,8 @@ def test_a_policy_changes_the_jobs_in_which_it_runs(load_text, plugin):
             "evaluate: {policies: [a, pf]}\nsweeps: {policies: [pf]}\n"
         )
         return {
-            "evaluate": dependencies.evaluate_values(scenario, "classical"),
-            "sweep": dependencies.sweep_values(scenario, "reference", "classical"),
+            "evaluate": values_of(scenario, "evaluate"),
+            "reference": values_of(scenario, "reference"),
             "train": dependencies.train_values(scenario, "ddpg"),
         }
 

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from functools import partial
 
 import numpy as np
 import pytest
-from hiersched.runs import dependencies
-from hiersched.runs.variants import check_variants
 
+from hiersched.experiments import dependencies
+from hiersched.experiments.points import experiments
 from hiersched.scenario import ScenarioError, scenario_sha256, scenario_to_yaml
 
 SHORT = "evaluate: {warmup_s: 0.5, duration_s: 1.5, full_log_s: 1.0}\nsweeps: {warmup_s: 0.0, duration_s: 2.0}\ngain_study: {num_windows: 2, violation_windows: [2]}\n"  # noqa: E501
@@ -43,7 +42,7 @@ def test_points_become_part_of_the_scenario(load_track, load_text):
     points = np.array(scenario.robot.reference_points)
     assert points.shape == (21, 4)
     np.testing.assert_allclose(points[7], [0.7, 2 * math.sin(0.35), 2 - 2 * math.cos(0.35), 0.35])
-    check_variants(scenario)
+    experiments(scenario)
     # A resolved scenario needs no file: that is what a log carries.
     load_track.path.unlink()
     assert load_text(scenario_to_yaml(scenario)) == scenario
@@ -52,14 +51,16 @@ def test_points_become_part_of_the_scenario(load_track, load_text):
 def test_another_path_is_another_scenario_and_runs_its_jobs_anew(load_track):
     one, other = load_track(rows()), load_track(rows((5, "x", "0.2988")))
     assert scenario_sha256(one) != scenario_sha256(other)
-    for values in (
-        partial(dependencies.train_values, learner="ddpg"),
-        dependencies.gain_study_values,
-    ):
-        assert values(one) != values(other)
-    assert dependencies.evaluate_values(one, "classical") != dependencies.evaluate_values(
-        other, "classical"
-    )
+
+    def jobs(scenario):
+        found = experiments(scenario)
+        return (
+            dependencies.train_values(scenario, "ddpg"),
+            dependencies.run_values(scenario, found["gain_study"], "gains"),
+            dependencies.run_values(scenario, found["evaluate"], "classical"),
+        )
+
+    assert all(a != b for a, b in zip(jobs(one), jobs(other), strict=True))
     # The gains are designed for robot.speed_mps, whatever the path.
     assert dependencies.gains_values(one, "schedule") == dependencies.gains_values(
         other, "schedule"
@@ -133,14 +134,15 @@ def test_other_faulty_files(load_track, track, words):
         ),
         (FILE + "learning: {slots_per_episode: 300}\n", "learning.slots_per_episode asks for 3 s"),
         (
-            "sweeps: {duration_s: 8.0, reference: [arc, file]}\nrobot: {reference_file: track.csv}",
+            "sweeps: {duration_s: 8.0, axes: {reference: {vary: {robot.reference: [arc, file]}}}}\n"
+            "robot: {reference_file: track.csv}",
             r"ends after 2 s, but sweeps.warmup_s \+ sweeps.duration_s asks for 13 s",
         ),
     ],
 )
 def test_file_and_scenario_have_to_fit(load_track, overlay, word):
     with pytest.raises(ScenarioError, match=word):
-        load_track(rows(), overlay)
+        experiments(load_track(rows(), overlay))
 
 
 def test_a_path_that_repeats_is_long_enough(load_track):

@@ -43,14 +43,17 @@ NETWORK_METHODS = ("predictor", "latency_compensated", "h2")
 """Gain methods for plants whose whole feedback crosses the network."""
 
 
-def inconsistencies(scenario: Scenario) -> list[str]:
-    """Every fault between keys, as ``key = value: what is allowed``; empty when there is none."""
+def inconsistencies(scenario: Scenario, *, swept: bool = False) -> list[str]:
+    """Every fault between keys, as ``key = value: what is allowed``; empty when there is none.
+
+    A `swept` scenario, a point of a sweep, runs for as long as sweeps do.
+    """
     return [
         *_users(scenario),
         *_link_budget(scenario),
         *_times(scenario),
         *_control(scenario),
-        *reference_faults(scenario),
+        *reference_faults(scenario, swept=swept),
         *_models(scenario),
         *_own_policies(scenario),
         *_learners(scenario),

@@ -261,7 +261,7 @@ def with_values(scenario: Scenario, values: Mapping[str, Any], where: str) -> Sc
             holder, inner = inner, inner[part]
         holder[parts[-1]] = value
     given = ", ".join(f"{key} = {value!r}" for key, value in values.items())
-    return _validate(data, [(Path(f"{where}: with {given}"), data)])
+    return _validate(data, [(Path(f"{where}: with {given}"), data)], swept=True)
 
 
 _Sources = Sequence[tuple[Path, Mapping[str, Any]]]
@@ -274,8 +274,8 @@ def _adapter() -> TypeAdapter[Scenario]:
     return TypeAdapter(Scenario)
 
 
-def _validate(merged: Mapping[str, Any], sources: _Sources) -> Scenario:
-    """Return the scenario; its plug-ins are there already."""
+def _validate(merged: Mapping[str, Any], sources: _Sources, *, swept: bool = False) -> Scenario:
+    """Return the scenario; its plug-ins are there already. A swept one runs in sweeps alone."""
     path = sources[0][0]
     try:
         text = json.dumps(merged)
@@ -287,7 +287,7 @@ def _validate(merged: Mapping[str, Any], sources: _Sources) -> Scenario:
         scenario = _adapter().validate_json(text, strict=True)
     except ValidationError as error:
         raise ScenarioError(describe(error, merged, sources)) from error
-    faults = inconsistencies(scenario)
+    faults = inconsistencies(scenario, swept=swept)
     if faults:
         raise ScenarioError("\n".join(f"{path}: {fault}" for fault in faults))
     return scenario
@@ -332,7 +332,10 @@ def load_resolved(text: str, origin: Path) -> tuple[Scenario, tuple[str, ...], s
     missing = _missing_keys(data)
     if not missing:
         return _validate(data, [(origin, data)]), (), sha256
-    whole = _with_axes(_merge(_read_yaml(DEFAULTS), data), whole=True)
+    defaults = _read_yaml(DEFAULTS)
+    if isinstance(data.get("sweeps"), Mapping) and "axes" in data["sweeps"]:
+        defaults["sweeps"]["axes"] = {}  # axes that it lacks are not wanted
+    whole = _with_axes(_merge(defaults, data), whole=True)
     merged = _with_hold(_with_learners(whole))
     return _validate(merged, [(origin, data), (DEFAULTS, {})]), tuple(missing), sha256
 

@@ -77,18 +77,25 @@ def converted(written: Mapping[str, Any]) -> dict[str, Any]:
     for section, model in MODELS.items():
         if isinstance(_at(data, section), dict):
             _at(data, section).setdefault("model", model)
+    _sweeps_to_axes(data)
+    if plant is not _ABSENT:
+        _put(data, "control.loop", "network" if plant == "linear" else plant)
+        _put(data, "plant.model", "linear" if plant == "linear" else "unicycle")
+    return data
+
+
+def _sweeps_to_axes(data: dict[str, Any]) -> None:
+    """Put the keys that sweeps had for what they vary into `axes`, in place."""
     sweeps = data.get("sweeps")
     if isinstance(sweeps, dict) and "axes" not in sweeps:
+        if isinstance(data.get("gain_study"), dict) and "sampling_s" in sweeps:
+            data["gain_study"].setdefault("sampling_s", sweeps["sampling_s"])
         axes = {name: sweeps.pop(name) for name in AXES if name in sweeps}
         sweeps["axes"] = {
             name: {"vary": {AXES[name]: values}, "policies": None}
             for name, values in axes.items()
             if values
         }
-    if plant is not _ABSENT:
-        _put(data, "control.loop", "network" if plant == "linear" else plant)
-        _put(data, "plant.model", "linear" if plant == "linear" else "unicycle")
-    return data
 
 
 _ABSENT: Any = object()

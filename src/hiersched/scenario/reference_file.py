@@ -77,10 +77,10 @@ def _point(path: Path, number: int, row: Sequence[str]) -> Point:
     return t, x, y, theta
 
 
-def reference_faults(scenario: Scenario) -> list[str]:
+def reference_faults(scenario: Scenario, *, swept: bool = False) -> list[str]:
     """Say what is wrong with the points of a scenario whose robots follow them, if anything."""
     robot = scenario.robot
-    on_path = _longest_run(scenario)
+    on_path = _longest_run(scenario, swept=swept)
     if not on_path:
         return []
     if robot.reference_points is None:
@@ -108,14 +108,16 @@ def reference_faults(scenario: Scenario) -> list[str]:
     return []
 
 
-def _longest_run(scenario: Scenario) -> dict[str, float]:
+def _longest_run(scenario: Scenario, *, swept: bool) -> dict[str, float]:
     """Durations of the runs whose robots follow the file, by the key that decides."""
     if scenario.robot.reference != "file":
         return {}
     sweeps, evaluate = scenario.sweeps, scenario.evaluate
     window_s = scenario.robot.window_s
-    return {
-        "sweeps.warmup_s + sweeps.duration_s": sweeps.warmup_s + sweeps.duration_s,
+    in_sweep = {"sweeps.warmup_s + sweeps.duration_s": sweeps.warmup_s + sweeps.duration_s}
+    if swept:
+        return in_sweep
+    return in_sweep | {
         "evaluate.warmup_s + evaluate.duration_s": evaluate.warmup_s + evaluate.duration_s,
         "learning.slots_per_episode": scenario.learning.slots_per_episode * scenario.radio.slot_s,
         "gain_study.num_windows": scenario.gain_study.num_windows * window_s,
