@@ -17,21 +17,22 @@ from typing import Any, NamedTuple
 import numpy as np
 import pytest
 import yaml
-from hiersched.runs import paths
-from hiersched.runs.evaluate import evaluate
-from hiersched.runs.gains import design_gains
-from hiersched.runs.policies import untrained_policies
-from hiersched.runs.variants import check_variants, learner_scenario
 from numba.core.caching import _CacheLocator
 
 from hiersched.cli import main
 from hiersched.core import registry
 from hiersched.core.compiled import CACHE_FOLDER
 from hiersched.core.randomness import world_keys
+from hiersched.experiments import files
+from hiersched.experiments.gains import design_gains
+from hiersched.experiments.points import experiments, learner_scenario
+from hiersched.experiments.run import run_experiment
+from hiersched.experiments.worlds import untrained_policies
 from hiersched.scenario import Scenario, load_scenario
 from hiersched.simulator import Simulator
 from hiersched.simulator.check import ModelCheckError, check_models
 from hiersched.simulator.loop_gains import nominal_gains
+from hiersched.study.metrics import measured_row
 
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 PAGES = ("scheduler", "channel", "traffic", "plant", "learner")
@@ -46,11 +47,13 @@ control: {max_delay_s: 0.04}
 learning: {seeds: [1, 2], episodes: 8, slots_per_episode: 12, num_envs: 4, hidden: [8],
            batch_size: 8, warmup_slots: 4}
 evaluate: {seeds: [11], warmup_s: 0.0, duration_s: 0.2, full_logs: 0, policies: [pf]}
-sweeps: {seeds: [21], warmup_s: 0.0, duration_s: 0.1, policies: [pf], rayleigh_scale: [],
-         sampling_s: [0.02], reference: [arc], load: [0.9], load_ratio: [1.0],
-         service_coefficient_mbps: [2.0]}
+sweeps: {seeds: [21], warmup_s: 0.0, duration_s: 0.1, policies: [pf],
+         axes: {rayleigh_scale: null, sampling_s: null, service_coefficient_mbps: null,
+                reference: {vary: {robot.reference: [arc]}}, load: {vary: {traffic.load: [0.9]}},
+                load_ratio: {vary: {traffic.load_ratio: [1.0]}}}}
 generalise: {seeds: [41], warmup_s: 0.0, duration_s: 0.1, policies: [pf], cells: [[3, 2, 6]]}
-gain_study: {seeds: [31], num_robots: 3, num_windows: 3, violation_windows: [2]}
+gain_study: {seeds: [31], num_robots: 3, num_windows: 3, violation_windows: [2],
+             sampling_s: [0.02]}
 log: {evaluate_profile: full}
 """
 
@@ -148,7 +151,7 @@ def test_a_page_runs_from_top_to_bottom(page, project_root, folder):
     done = run_python(folder, project_root, f"{page}.md")
     assert done.returncode == 0, done.stderr
     assert done.stdout.strip()
-    check_variants(load_scenario("mine.yaml"))  # the whole study could run
+    experiments(load_scenario("mine.yaml"))  # the whole study could run
 
 
 def test_every_page_is_run(project_root):
@@ -210,16 +213,15 @@ def replays(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_log_of_a_plugin_replays(pages, policies, tiny_with, folder, capsys):
     scenario = tiny_with(*pages, evaluate={"policies": policies})
     results = folder / "results"
-    design_gains(scenario, "schedule", results / paths.gain_file("schedule"))
-    evaluate(scenario, results, "classical", untrained_policies)
+    design_gains(scenario, "schedule", results / files.gain_file("schedule"))
+    run_experiment(scenario, results, "evaluate", "classical", untrained_policies, measured_row)
     for policy in policies:
-        replays(results / paths.evaluation_log(policy, 11), capsys)
+        replays(results / f"runs/evaluate/{policy}/seed11.mcap", capsys)
 
 
 def test_the_learner_trains_runs_and_replays(tiny_with, folder, capsys):
-    from hiersched.runs.learned import learned_policies
-    from hiersched.runs.train import train_and_log
-
+    from hiersched.experiments.learned import learned_policies
+    from hiersched.experiments.train import train_and_log
     from hiersched.learning.trainer import train
 
     study = tiny_with("learner", evaluate={"policies": ["evolved"]})
@@ -236,11 +238,11 @@ def test_the_learner_trains_runs_and_replays(tiny_with, folder, capsys):
     np.testing.assert_allclose(same.parameters, other.parameters, rtol=0, atol=1e-5)
 
     results = folder / "results"
-    design_gains(study, "schedule", results / paths.gain_file("schedule"))
+    design_gains(study, "schedule", results / files.gain_file("schedule"))
     train_and_log(study, "evolved", results, "code", show=False)
-    files = [results / name for name in paths.policy_files(study, "evolved")]
-    evaluate(study, results, "evolved", learned_policies(files))
-    replays(results / paths.evaluation_log("evolved", 11), capsys)
+    source = learned_policies([results / name for name in files.policy_files(study, "evolved")])
+    run_experiment(study, results, "evaluate", "evolved", source, measured_row)
+    replays(results / "runs/evaluate/evolved/seed11.mcap", capsys)
 
 
 def test_an_edited_plugin_is_compiled_anew(tiny_with, folder):
@@ -384,18 +386,8 @@ MISTAKES = {
             "(A, B) is not stabilisable: no input moves the mode of A at 1",
         ),
         (
-            "        slot.gain_delay_steps[robot] = state.gain_delay_steps[env, robot]\n",
-            "",
-            "gain_delay_steps: not written in every slot (first in slot 0)",
-        ),
-        (
-            "slot.state[robot, j] = state.robot_state[env, robot, j] = body[j]",
             "slot.state[robot, j] = body[j]",
-            "state.robot_state: must be slot.state, for policies that observe the robots",
-        ),
-        (
-            "state.robot_state[env, robot, j] = body[j]",
-            "state.robot_state[env, robot, j] = body[j] / (robot - robot)",
+            "slot.state[robot, j] = body[j] / (robot - robot)",
             "the state of a robot is not finite",
         ),
         (
@@ -440,7 +432,7 @@ def test_draws_that_a_decision_changes_are_found(tiny_with):
 def test_snakemake_runs_a_study_of_plugins(tiny_with, folder, project_root, capsys):
     """Gains, kernels and the evaluation of a study with four plug-ins; the rest is planned."""
     scenario = tiny_with("scheduler", "channel", "traffic", evaluate={"policies": ["steep", "pf"]})
-    log = f"results/{scenario.name}/{paths.evaluation_log('steep', 11)}"
+    log = f"results/{scenario.name}/runs/evaluate/steep/seed11.mcap"
     snakemake = ("-m", "snakemake", "--snakefile", str(project_root / "Snakefile"))
     given = ("--config", "scenarios=[tiny.yaml]")
     done = run_python(folder, project_root, *snakemake, "--cores", "1", log, *given)

@@ -85,6 +85,25 @@ def _recall(gain: NDArray[np.float64], sample: int, commands: NDArray[np.float64
     return total
 
 
+@njit(inline="always")
+def feedback(
+    loop: LoopConstants,
+    entry: int,
+    i: int,
+    past: NDArray[np.float64],
+    now: NDArray[np.float64],
+    sample: int,
+    commands: NDArray[np.float64],
+) -> float:
+    """Input i before saturation, u = -K_network x(k-T_d) - K_local x(k) - sum_j H_j u(k-1-j)."""
+    command = 0.0
+    for j in range(now.shape[0]):
+        command -= loop.network_gain[entry, i, j] * past[j] + loop.local_gain[entry, i, j] * now[j]
+    if loop.has_memory:
+        command -= _recall(loop.input_gain[entry, :, i], sample, commands)
+    return command
+
+
 @inner_kernel(forceinline=True)
 def close_loop(
     memory: LoopMemory,
@@ -107,13 +126,7 @@ def close_loop(
     now, past = history[sample], history[late_place(sample, delay_steps, history.shape[0])]
     saturated = 0
     for i in range(limits.shape[0]):
-        command = 0.0
-        for j in range(now.shape[0]):
-            command -= (
-                loop.network_gain[entry, i, j] * past[j] + loop.local_gain[entry, i, j] * now[j]
-            )
-        if loop.has_memory:
-            command -= _recall(loop.input_gain[entry, :, i], sample, commands)
+        command = feedback(loop, entry, i, past, now, sample, commands)
         if abs(command) > limits[i]:
             command = limits[i] if command > 0.0 else -limits[i]
             saturated = 1
