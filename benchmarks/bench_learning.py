@@ -19,10 +19,10 @@ from common import Figure, cpu_seconds, main, paper
 
 # isort: split
 import numpy as np
-from hiersched.runs.gains import design_gains
 
 from hiersched.core.randomness import world_keys
 from hiersched.env import SlicingEnv
+from hiersched.experiments.gains import design_gains
 from hiersched.learning.policy import single_thread
 from hiersched.learning.trainer import Trainer
 from hiersched.scenario import Scenario

@@ -25,21 +25,22 @@ from common import Figure, cpu_seconds, main, paper, some_policy
 
 # isort: split
 import numpy as np
-from hiersched.runs import evaluate as stage
-from hiersched.runs import paths
-from hiersched.runs.gains import design_gains
-from hiersched.runs.learned import learned_policies
-from hiersched.runs.policies import PolicySource, untrained_policies
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.decoder import DecoderFactory
 
 from hiersched.core.randomness import world_keys
+from hiersched.experiments import files
+from hiersched.experiments import run as stage
+from hiersched.experiments.gains import design_gains
+from hiersched.experiments.learned import learned_policies
+from hiersched.experiments.worlds import PolicySource, untrained_policies
 from hiersched.log import TOPICS, LogDims, LogReader, LogWriter
 from hiersched.log.schema import descriptors, message_class, topics_in
 from hiersched.scenario import Scenario
 from hiersched.simulator import Simulator
 from hiersched.simulator.loop_gains import Gains, plant_of
+from hiersched.study.metrics import measured_row
 
 DIMS = LogDims(num_urllc=10, num_embb=10, num_prb=25)
 SLOT_NS = 10_000_000
@@ -61,7 +62,7 @@ def random_fields(slots: int, dims: LogDims = DIMS, seed: int = 0) -> dict[str, 
     rng = np.random.default_rng(seed)
     fields: dict[str, Any] = {}
     for topic in topics_in("full").values():
-        for field in topic.fields:
+        for field in topic.fields_in("full"):
             shape = (slots, *field.sized(dims.sizes))
             if field.dtype == "<u4":
                 top = INTEGERS.get(field.name, 2)
@@ -110,7 +111,7 @@ def write_stock(path: Path, fields: dict[str, Any], compression: str) -> None:
         for slot in range(slots):
             for topic in topics_in("full").values():
                 message = classes[topic.name](slot=slot)
-                for field in topic.fields:
+                for field in topic.fields_in("full"):
                     values = fields[field.name][slot]
                     if field.shape:
                         getattr(message, field.name).extend(values.ravel().tolist())
@@ -134,7 +135,7 @@ def read_stock(path: Path) -> None:
     with path.open("rb") as stream:
         reader = make_reader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
         for _, channel, _, message in reader.iter_decoded_messages(log_time_order=False):
-            for field in TOPICS[channel.topic].fields:
+            for field in TOPICS[channel.topic].fields_in("full"):
                 columns.setdefault(field.name, []).append(np.array(getattr(message, field.name)))
     for column in columns.values():
         np.stack(column)
@@ -182,15 +183,17 @@ def stage_seconds(
         mock.patch.object(stage, "write_log", timed),
         contextlib.redirect_stdout(io.StringIO()),
     ):
-        whole = cpu_seconds(lambda: stage.evaluate(scenario, folder, group, run))
+        whole = cpu_seconds(
+            lambda: stage.run_experiment(scenario, folder, "evaluate", group, run, measured_row)
+        )
     return whole, sum(logs)
 
 
 def learned_runner(scenario: Scenario, learner: str, folder: Path) -> PolicySource:
-    """A policy of its own for every world, as after a training with so many seeds."""
+    """One trained policy, which every world runs."""
     path = folder / f"{learner}.pt"
     some_policy(scenario, learner).save(path)
-    return learned_policies([path] * len(scenario.evaluate.seeds))
+    return learned_policies([path])
 
 
 def speeds(fields: dict[str, Any], folder: Path, rounds: int) -> dict[str, float]:
@@ -241,7 +244,7 @@ def logging_shares(scenario: Scenario) -> list[Figure]:
     slots = seeds * round((evaluation.warmup_s + evaluation.duration_s) / scenario.radio.slot_s)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        design_gains(scenario, "schedule", folder / paths.gain_file("schedule"))
+        design_gains(scenario, "schedule", folder / files.gain_file("schedule"))
         seconds = evaluation_seconds(scenario, folder)
     groups = {
         "classical": [p for p in evaluation.policies if p not in scenario.learned],
