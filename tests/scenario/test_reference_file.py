@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,7 +12,12 @@ from hiersched.experiments import dependencies
 from hiersched.experiments.points import experiments
 from hiersched.scenario import ScenarioError, scenario_sha256, scenario_to_yaml
 
-SHORT = "evaluate: {warmup_s: 0.5, duration_s: 1.5, full_log_s: 1.0}\nsweeps: {warmup_s: 0.0, duration_s: 2.0}\ngain_study: {num_windows: 2, violation_windows: [2]}\n"  # noqa: E501
+SHORT = """
+evaluate: {warmup_s: 0.5, duration_s: 1.5, full_log_s: 1.0}
+sweeps: {warmup_s: 0.0, duration_s: 2.0}
+generalise: {warmup_s: 0.0, duration_s: 2.0}
+gain_study: {num_windows: 2, violation_windows: [2]}
+"""
 FILE = SHORT + "robot: {reference: file, reference_file: track.csv}\n"
 
 
@@ -42,25 +48,25 @@ def test_points_become_part_of_the_scenario(load_track, load_text):
     points = np.array(scenario.robot.reference_points)
     assert points.shape == (21, 4)
     np.testing.assert_allclose(points[7], [0.7, 2 * math.sin(0.35), 2 - 2 * math.cos(0.35), 0.35])
-    experiments(scenario)
+    experiments(scenario)  # every point can run
     # A resolved scenario needs no file: that is what a log carries.
     load_track.path.unlink()
     assert load_text(scenario_to_yaml(scenario)) == scenario
 
 
+def run_values(scenario, name, group="classical"):
+    return dependencies.run_values(scenario, experiments(scenario)[name], group)
+
+
 def test_another_path_is_another_scenario_and_runs_its_jobs_anew(load_track):
     one, other = load_track(rows()), load_track(rows((5, "x", "0.2988")))
     assert scenario_sha256(one) != scenario_sha256(other)
-
-    def jobs(scenario):
-        found = experiments(scenario)
-        return (
-            dependencies.train_values(scenario, "ddpg"),
-            dependencies.run_values(scenario, found["gain_study"], "gains"),
-            dependencies.run_values(scenario, found["evaluate"], "classical"),
-        )
-
-    assert all(a != b for a, b in zip(jobs(one), jobs(other), strict=True))
+    for values in (
+        partial(dependencies.train_values, learner="ddpg"),
+        partial(run_values, name="gain_study", group="gains"),
+        partial(run_values, name="evaluate"),
+    ):
+        assert values(one) != values(other)
     # The gains are designed for robot.speed_mps, whatever the path.
     assert dependencies.gains_values(one, "schedule") == dependencies.gains_values(
         other, "schedule"
@@ -133,16 +139,34 @@ def test_other_faulty_files(load_track, track, words):
             r"ends after 2 s, but evaluate.warmup_s \+ evaluate.duration_s asks for 2.5 s",
         ),
         (FILE + "learning: {slots_per_episode: 300}\n", "learning.slots_per_episode asks for 3 s"),
+        (FILE.replace("num_windows: 2", "num_windows: 3"), "gain_study.num_windows asks for 3 s"),
         (
-            "sweeps: {duration_s: 8.0, axes: {reference: {vary: {robot.reference: [arc, file]}}}}\n"
+            FILE.replace("generalise: {warmup_s: 0.0, duration_s: 2.0}\n", ""),
+            r"generalise.warmup_s \+ generalise.duration_s asks for 10 s",
+        ),
+        (
+            "sweeps: {duration_s: 8.0, axes: {robot.reference: [arc, file]}}\n"
             "robot: {reference_file: track.csv}",
-            r"ends after 2 s, but sweeps.warmup_s \+ sweeps.duration_s asks for 13 s",
+            r"with robot.reference = 'file': robot.reference_file = track.csv: ends after 2 s, "
+            r"but sweeps.warmup_s \+ sweeps.duration_s asks for 13 s",
         ),
     ],
 )
 def test_file_and_scenario_have_to_fit(load_track, overlay, word):
     with pytest.raises(ScenarioError, match=word):
         experiments(load_track(rows(), overlay))
+
+
+def test_a_path_is_as_long_as_the_parts_that_follow_it(load_track):
+    """Those that are left out need none, and a point of a sweep needs that of the sweep alone."""
+    parts = "generalise: {cells: []}\ngain_study: {methods: []}\n"
+    path = "robot: {reference: file, reference_file: track.csv}\n"
+    durations = SHORT.splitlines()[1:3]
+    load_track(rows(), "\n".join((*durations, parts, path)))
+    swept = "sweeps: {warmup_s: 0.0, duration_s: 2.0, axes: {robot.reference: [arc, file]}}\n"
+    scenario = load_track(rows(), swept + "robot: {reference_file: track.csv}\n")
+    arc, file = experiments(scenario)["robot.reference"].points
+    assert (arc.scenario.robot.reference, file.scenario.robot.reference) == ("arc", "file")
 
 
 def test_a_path_that_repeats_is_long_enough(load_track):

@@ -46,7 +46,7 @@ NETWORK_METHODS = ("predictor", "latency_compensated", "h2")
 def inconsistencies(scenario: Scenario, *, swept: bool = False) -> list[str]:
     """Every fault between keys, as ``key = value: what is allowed``; empty when there is none.
 
-    A `swept` scenario, a point of a sweep, runs for as long as sweeps do.
+    A `swept` scenario is a point of a sweep: nothing else of the study runs in it.
     """
     return [
         *_users(scenario),
@@ -57,8 +57,8 @@ def inconsistencies(scenario: Scenario, *, swept: bool = False) -> list[str]:
         *_models(scenario),
         *_own_policies(scenario),
         *_learners(scenario),
-        *_studies(scenario),
-        *_cells(scenario),
+        *_worlds(scenario, ("sweeps",) if swept else ("evaluate", "sweeps", "generalise")),
+        *([] if swept else [*_studies(scenario), *_full_logs(scenario), *_cells(scenario)]),
     ]
 
 
@@ -309,12 +309,15 @@ def _studies(scenario: Scenario) -> list[str]:
     ):
         if low > high:
             faults.append(f"{key} = [{low}, {high}]: the lower bound first")
+    return faults
+
+
+def _worlds(scenario: Scenario, names: Sequence[str]) -> list[str]:
+    """List durations that are no slots, and policies that nobody is or that stand twice."""
+    faults = []
     slot_s = scenario.radio.slot_s
-    for name, section in (
-        ("evaluate", scenario.evaluate),
-        ("sweeps", scenario.sweeps),
-        ("generalise", scenario.generalise),
-    ):
+    for name in names:
+        section = getattr(scenario, name)
         for key, value in (("warmup_s", section.warmup_s), ("duration_s", section.duration_s)):
             if value != 0.0 and not _is_multiple(value, slot_s):
                 faults.append(
@@ -323,7 +326,7 @@ def _studies(scenario: Scenario) -> list[str]:
         if len(set(section.policies)) != len(section.policies):
             faults.append(f"{name}.policies = {list(section.policies)}: every policy once")
         faults.extend(_policies(scenario, f"{name}.policies", section.policies))
-    return faults + _full_logs(scenario)
+    return faults
 
 
 def _axes(scenario: Scenario) -> list[str]:

@@ -219,20 +219,18 @@ def load_scenario(name_or_path: str | Path, *, defaults: Path | None = None) -> 
     defaults = DEFAULTS if defaults is None else defaults
     overlays = _read_overlays(path)
     merged = _read_yaml(defaults)
-    if not _missing_keys(overlays[-1][1]):  # a resolved scenario: axes that it lacks are not wanted
-        merged = {}
-    for _, overlay in reversed(overlays):
-        merged = _merge(merged, overlay)
+    for _, overlay in reversed(overlays):  # one that is resolved stands on its own
+        merged = _merge(merged, overlay) if _missing_keys(overlay) else overlay
     sources = [*overlays, (defaults, {})]
     merged = _with_learners(_with_points(_with_axes(merged, whole=True), sources))
     if "name" not in overlays[0][1]:  # that of a scenario which it extends is not its own
         merged["name"] = path.stem
-    _load_plugins(merged, [file for file, _ in sources])
+    _load_plugins(merged, sources)
     return _validate(_with_hold(merged), sources)
 
 
 def with_values(scenario: Scenario, values: Mapping[str, Any], where: str) -> Scenario:
-    """Return a scenario with other values at dotted keys.
+    """Return a scenario with other values at dotted keys: a point of a sweep.
 
     Parameters
     ----------
@@ -293,14 +291,14 @@ def _validate(merged: Mapping[str, Any], sources: _Sources, *, swept: bool = Fal
     return scenario
 
 
-def _load_plugins(merged: Mapping[str, Any], files: Sequence[Path]) -> None:
+def _load_plugins(merged: Mapping[str, Any], sources: _Sources) -> None:
     """Import plug-ins, before validation asks what there is."""
     names = merged.get("plugins")
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
         names = []  # validation says what is wrong
-    path = files[0]
-    faults = load_plugins(names, files)
+    faults = load_plugins(names, [file for file, _ in sources])
     if faults:
+        path = next((file for file, data in sources if "plugins" in data), sources[0][0])
         raise ScenarioError("\n".join(f"{path}: {fault}" for fault in faults))
 
 
@@ -328,7 +326,7 @@ def load_resolved(text: str, origin: Path) -> tuple[Scenario, tuple[str, ...], s
     written = _parse_yaml(text, origin)
     sha256 = _sha256(written)
     data = converted(written)
-    _load_plugins(data, [origin])
+    _load_plugins(data, [(origin, data)])
     missing = _missing_keys(data)
     if not missing:
         return _validate(data, [(origin, data)]), (), sha256

@@ -78,10 +78,12 @@ def _point(path: Path, number: int, row: Sequence[str]) -> Point:
 
 
 def reference_faults(scenario: Scenario, *, swept: bool = False) -> list[str]:
-    """Say what is wrong with the points of a scenario whose robots follow them, if anything."""
+    """Say what is wrong with the points of a scenario whose robots follow them, if anything.
+
+    In a `swept` one, a point of a sweep, they follow them for as long as the sweep's worlds are.
+    """
     robot = scenario.robot
-    on_path = _longest_run(scenario, swept=swept)
-    if not on_path:
+    if robot.reference != "file":
         return []
     if robot.reference_points is None:
         return ["robot.reference = 'file': needs robot.reference_file"]
@@ -99,7 +101,7 @@ def reference_faults(scenario: Scenario, *, swept: bool = False) -> list[str]:
     )
     if fault:
         return [f"{name}: {fault}"]
-    key, longest_s = max(on_path.items(), key=lambda item: item[1])
+    key, longest_s = max(_runs_s(scenario, swept).items(), key=lambda item: item[1])
     if not robot.reference_repeat and longest_s > points[-1, 0] * (1.0 + 1e-9):
         return [
             f"{name}: ends after {points[-1, 0]:.12g} s, but {key} asks for {longest_s:.12g} s: "
@@ -108,21 +110,23 @@ def reference_faults(scenario: Scenario, *, swept: bool = False) -> list[str]:
     return []
 
 
-def _longest_run(scenario: Scenario, *, swept: bool) -> dict[str, float]:
+def _runs_s(scenario: Scenario, swept: bool) -> dict[str, float]:
     """Durations of the runs whose robots follow the file, by the key that decides."""
-    if scenario.robot.reference != "file":
-        return {}
-    sweeps, evaluate = scenario.sweeps, scenario.evaluate
-    window_s = scenario.robot.window_s
-    in_sweep = {"sweeps.warmup_s + sweeps.duration_s": sweeps.warmup_s + sweeps.duration_s}
-    if swept:
-        return in_sweep
-    return in_sweep | {
-        "evaluate.warmup_s + evaluate.duration_s": evaluate.warmup_s + evaluate.duration_s,
-        "learning.slots_per_episode": scenario.learning.slots_per_episode * scenario.radio.slot_s,
-        "gain_study.num_windows": scenario.gain_study.num_windows * window_s,
-        "gain_study.sweep_windows": scenario.gain_study.sweep_windows * window_s,
+    parts = ["sweeps"] if swept else ["evaluate", "sweeps"]
+    parts += ["generalise"] if scenario.generalise.cells and not swept else []
+    worlds = {name: getattr(scenario, name) for name in parts}
+    runs: dict[str, float] = {
+        f"{name}.warmup_s + {name}.duration_s": own.warmup_s + own.duration_s
+        for name, own in worlds.items()
     }
+    if swept:
+        return runs
+    slot_s, window_s = scenario.radio.slot_s, scenario.robot.window_s
+    runs["learning.slots_per_episode"] = scenario.learning.slots_per_episode * slot_s
+    if scenario.gain_study.methods:
+        for key in ("num_windows", "sweep_windows"):
+            runs[f"gain_study.{key}"] = getattr(scenario.gain_study, key) * window_s
+    return runs
 
 
 def _row(index: int) -> str:
