@@ -21,10 +21,10 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
 import numpy as np  # noqa: E402
+from hiersched.learning.policy import TrainedPolicy  # noqa: E402
 from tabulate import tabulate  # noqa: E402
 
 from hiersched.learning.networks import learner_network  # noqa: E402
-from hiersched.learning.policy import TrainedPolicy  # noqa: E402
 from hiersched.scenario import Scenario, load_scenario  # noqa: E402
 
 CONFIG = Path(__file__).resolve().parents[1] / "src/hiersched/config"

@@ -20,8 +20,8 @@ from hiersched.experiments.points import experiments
 from hiersched.experiments.run import run_experiment, slots_of
 from hiersched.experiments.train import train_and_log
 from hiersched.experiments.worlds import run_worlds, seed_worlds
-from hiersched.learning.policy import TrainedPolicy
 from hiersched.log import LogReader
+from hiersched.policies.trained import TrainedPolicy
 from hiersched.scenario import Scenario
 from hiersched.scenario.schema import checkpoint_rounds
 from hiersched.simulator import Simulator
@@ -53,7 +53,7 @@ def test_every_slot_of_training_is_logged(tiny: Scenario, trained: Path) -> None
             queue = log.read("/queue")
             assert log.metadata["seed"] == str(seed)
             assert log.metadata["slots_per_episode"] == str(SLOTS)
-            weights = log.attachments[f"policy_seed{seed}.pt"]
+            weights = log.attachments[f"policy_seed{seed}.json"]
         assert (queue["slot"] == np.arange(EPISODES * SLOTS)).all()
         backlog = queue["backlog_packets"].reshape(EPISODES, SLOTS, -1)
         assert (backlog[:, 0] == 0).all()  # every episode starts with empty queues
@@ -61,7 +61,7 @@ def test_every_slot_of_training_is_logged(tiny: Scenario, trained: Path) -> None
             0.0, queue["backlog_packets"] + queue["arrivals_packets"] - queue["service_packets"]
         ).reshape(backlog.shape)
         assert np.array_equal(after[:, :-1], backlog[:, 1:])
-        assert weights == (trained / f"train/ddpg/policy_seed{seed}.pt").read_bytes()
+        assert weights == (trained / f"train/ddpg/policy_seed{seed}.json").read_bytes()
     assert (trained / files.progress_file("ddpg")).stat().st_size > 0
     assert not (trained / files.CHECKPOINTS / "ddpg").exists()
 
@@ -102,7 +102,7 @@ def test_a_frozen_learner_stays_as_it_starts(tiny: Scenario, results: Path) -> N
         )
         record = loop.run(start)
         np.testing.assert_array_equal(fixed["rate_mbps"][:SLOTS], record.rate_mbps[0])
-        policy = TrainedPolicy.load(results / "train/frozen/policy_seed1.pt")
+        policy = TrainedPolicy.load(results / "train/frozen/policy_seed1.json")
         loop.reset(world_keys("checkpoint", 0, 1))
         np.testing.assert_array_equal(loop.run(policy).weight, 1.0)
 

@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from hiersched.core.pointer import Pointer
-from hiersched.learning.policy import TrainedPolicy
 from hiersched.policies.features import num_features, observe_worlds
 from hiersched.policies.learned import network_words
+from hiersched.policies.trained import TrainedPolicy
 
 EXPONENT = 2.0
 

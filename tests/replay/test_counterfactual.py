@@ -16,8 +16,8 @@ from hiersched.experiments.learned import learned_policies
 from hiersched.experiments.logged import load_run
 from hiersched.experiments.points import experiments
 from hiersched.experiments.run import run_experiment
-from hiersched.learning.policy import TrainedPolicy
 from hiersched.log import LogError, LogReader, log_digest
+from hiersched.policies.trained import TrainedPolicy
 from hiersched.replay.compare import compare_logs
 from hiersched.replay.counterfactual import policy_of, rerun
 from hiersched.replay.verify import verify
@@ -74,11 +74,11 @@ def test_every_episode_of_a_training_under_another_policy(study: Path, tmp_path:
 @pytest.mark.parametrize("name", ["runs/evaluate/pf/seed12.mcap", "train/ddpg/seed1.mcap"])
 def test_a_file_of_weights(name: str, study: Path, tmp_path: Path) -> None:
     run = load_run(study / name)
-    weights = study / "train/ddpg/policy_seed1.pt"
+    weights = study / "train/ddpg/policy_seed1.json"
     rerun(run, policy_of(run, str(weights)), tmp_path / "a.mcap")
     again = load_run(tmp_path / "a.mcap")
     assert again.policy == "ddpg"
-    assert again.attachments["policy_seed1.pt"] == weights.read_bytes()
+    assert again.attachments["policy_seed1.json"] == weights.read_bytes()
     assert verify(again) is None
     if "eval" in name:  # and the new log can be reproduced in turn
         rerun(again, policy_of(again, "ddpg"), tmp_path / "b.mcap")
@@ -92,10 +92,10 @@ def test_a_run_without_log_comes_from_a_rules_log_of_its_world(
     """Every pair of policy and world that is measured and not logged, to the last bit."""
     weights = []
     for seed in (1, 2):
-        policy = TrainedPolicy.load(study / "train/ddpg/policy_seed1.pt")
+        policy = TrainedPolicy.load(study / "train/ddpg/policy_seed1.json")
         rng = np.random.default_rng(seed)
         parameters = rng.normal(0.0, 0.5, policy.parameters.shape).astype(np.float32)
-        weights.append(tmp_path / f"policy_seed{seed}.pt")
+        weights.append(tmp_path / f"policy_seed{seed}.json")
         replace(policy, parameters=parameters, seed=seed).save(weights[-1])
     results, source = tmp_path / "results", learned_policies(weights)
     shutil.copytree(study / "gains", results / "gains")
@@ -121,10 +121,10 @@ def test_a_run_without_log_comes_from_a_rules_log_of_its_world(
 
 
 def test_weights_for_another_number_of_users(study: Path, tmp_path: Path) -> None:
-    policy = TrainedPolicy.load(study / "train/ddpg/policy_seed1.pt").for_users(5, 2)
-    policy.save(tmp_path / "five.pt")
+    policy = TrainedPolicy.load(study / "train/ddpg/policy_seed1.json").for_users(5, 2)
+    policy.save(tmp_path / "five.json")
     run = load_run(study / "runs/evaluate/pf/seed12.mcap")
-    rerun(run, policy_of(run, str(tmp_path / "five.pt")), tmp_path / "a.mcap")
+    rerun(run, policy_of(run, str(tmp_path / "five.json")), tmp_path / "a.mcap")
     assert verify(load_run(tmp_path / "a.mcap")) is None
 
 
@@ -132,9 +132,9 @@ def test_policies_that_are_not_to_be_had(study: Path, tmp_path: Path, rewrite: A
     run = load_run(study / "runs/evaluate/pf/seed11.mcap")
     with pytest.raises(ValueError, match=r"policy = 'best': must be one of pf, .*, or a file of"):
         policy_of(run, "best")
-    (tmp_path / "text.pt").write_text("no weights")
-    with pytest.raises(ValueError, match="not a policy file"):
-        policy_of(run, str(tmp_path / "text.pt"))
+    (tmp_path / "text.json").write_text("no weights")
+    with pytest.raises(ValueError, match=r"text\.json: not a policy: its first line"):
+        policy_of(run, str(tmp_path / "text.json"))
     training = load_run(study / "train/ddpg/seed1.mcap")
     with pytest.raises(LogError, match="ddpg was learning in this log"):
         policy_of(training, "ddpg")

@@ -31,7 +31,7 @@ def progress_file(learner: str) -> str:
 
 def policy_files(scenario: Scenario, learner: str) -> list[str]:
     """Weights of all training seeds of a learner."""
-    return [f"train/{learner}/policy_seed{seed}.pt" for seed in scenario.learned[learner].seeds]
+    return [f"train/{learner}/policy_seed{seed}.json" for seed in scenario.learned[learner].seeds]
 
 
 def training_log(learner: str, seed: int) -> str:

@@ -7,7 +7,7 @@ from functools import cache
 from pathlib import Path
 
 from hiersched.experiments.worlds import PolicySource, RunnablePolicy
-from hiersched.learning.policy import TrainedPolicy
+from hiersched.policies.trained import TrainedPolicy
 from hiersched.scenario import Scenario
 
 
@@ -22,7 +22,8 @@ def learned_policies(files: Sequence[Path]) -> PolicySource:
 
     @cache
     def load(path: Path) -> tuple[TrainedPolicy, bytes]:
-        return TrainedPolicy.load(path), path.read_bytes()
+        weights = path.read_bytes()
+        return TrainedPolicy.from_bytes(weights, path), weights
 
     def source(scenario: Scenario, name: str) -> tuple[RunnablePolicy, ...]:
         return tuple(runnable(*load(path), scenario) for path in files)
@@ -35,5 +36,5 @@ def runnable(policy: TrainedPolicy, weights: bytes, scenario: Scenario) -> Runna
     return RunnablePolicy(
         policy=policy.for_users(scenario.users.num_urllc, scenario.users.num_embb),
         metadata={"policy_seed": str(policy.seed), "start": policy.rule},
-        attachments={f"policy_seed{policy.seed}.pt": weights},
+        attachments={f"policy_seed{policy.seed}.json": weights},
     )

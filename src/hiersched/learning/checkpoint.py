@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-import os
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import torch
 
+from hiersched.core.files import write_bytes
+from hiersched.core.sealed import seal, unseal
 from hiersched.policies.features import FEATURE_VERSION
 
-_FORMAT = 3
+_FORMAT = 4
 
 
 class CheckpointError(ValueError):
@@ -29,18 +31,18 @@ def _identity(scenario_sha256: str) -> dict[str, Any]:
 
 def save_checkpoint(path: Path, scenario_sha256: str, state: dict[str, Any]) -> None:
     """Write a checkpoint; the file appears whole or not at all."""
-    part = Path(f"{path}.part")
-    torch.save({"identity": _identity(scenario_sha256), "state": state}, part)
-    os.replace(part, path)
+    content = BytesIO()
+    torch.save({"identity": _identity(scenario_sha256), "state": state}, content)
+    write_bytes(path, seal(content.getvalue()))
 
 
 def load_checkpoint(path: Path, scenario_sha256: str) -> dict[str, Any]:
     """Read what `save_checkpoint` wrote.
 
-    CheckpointError if it is no checkpoint, or one of another scenario or version.
+    CheckpointError if it is no checkpoint, damaged, or one of another scenario or version.
     """
     try:
-        saved = torch.load(path, weights_only=True)
+        saved = torch.load(BytesIO(unseal(path.read_bytes())), weights_only=True)
         found = dict(saved["identity"])
         state: dict[str, Any] = saved["state"]
     except Exception as error:

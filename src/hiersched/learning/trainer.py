@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +20,9 @@ from hiersched.learning import a2c, ddpg  # noqa: F401  # so that their code cou
 from hiersched.learning.algorithm import Algorithm, Outcome
 from hiersched.learning.checkpoint import load_checkpoint, save_checkpoint
 from hiersched.learning.multiplier import Multiplier, episode_constraint, step_multiplier
-from hiersched.learning.policy import TrainedPolicy, single_thread
 from hiersched.learning.progress import RoundSums, write_progress
 from hiersched.learning.rewards import user_rewards
+from hiersched.policies.trained import TrainedPolicy
 from hiersched.scenario import Scenario, scenario_sha256
 from hiersched.scenario.schema import checkpoint_rounds
 from hiersched.simulator import Gains, SlotRecord
@@ -171,6 +172,17 @@ class Trainer:
         self.multiplier = Multiplier(integral=integral.numpy(), value=value.numpy())
         for rng, saved in zip(self.generators, state["generators"], strict=True):
             rng.bit_generator.state = saved
+
+
+@contextmanager
+def single_thread() -> Iterator[None]:
+    """One torch thread within: the bits of a matrix product depend on the number of threads."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 class _EpisodeBlocks:

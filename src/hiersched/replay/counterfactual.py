@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import os
-import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
+from hiersched.experiments.learned import runnable
 from hiersched.experiments.logged import BATCH_SLOTS, LoggedRun
 from hiersched.experiments.logging import RunLabel, log_block, open_log
 from hiersched.experiments.worlds import RunnablePolicy, untrained_policies
 from hiersched.log import LogError
 from hiersched.policies.find import untrained_names
+from hiersched.policies.trained import TrainedPolicy
 from hiersched.simulator import Simulator
 from hiersched.simulator.simulator import AnyPolicy
 
@@ -45,7 +46,7 @@ def policy_of(run: LoggedRun, policy: str) -> NamedPolicy:
     if policy in names:
         return NamedPolicy(policy, *untrained_policies(run.scenario, policy))
     if Path(policy).is_file():
-        return _trained(run, Path(policy).read_bytes())
+        return _trained(run, Path(policy).read_bytes(), policy)
     if policy == run.policy:
         return _own_policy(run)
     known = [*names, *([] if run.policy in names else [run.policy])]
@@ -63,23 +64,17 @@ def _own_policy(run: LoggedRun) -> NamedPolicy:
             f"{run.policy} was learning in this log, with noise on its actions, and is not to be "
             "had any more; give a file of weights",
         )
-    wanted = f"policy_seed{run.metadata.get('policy_seed')}.pt"
+    wanted = f"policy_seed{run.metadata.get('policy_seed')}.json"
     if wanted not in run.attachments:
         raise LogError(
             run.path, 0, f"it does not have the weights of {run.policy} (attachment {wanted})"
         )
-    return _trained(run, run.attachments[wanted])
+    return _trained(run, run.attachments[wanted], f"{run.path}: attachment {wanted}")
 
 
-def _trained(run: LoggedRun, weights: bytes) -> NamedPolicy:
+def _trained(run: LoggedRun, weights: bytes, origin: str) -> NamedPolicy:
     """Make a policy of its weights, taken to the scenario's numbers of users."""
-    from hiersched.experiments.learned import runnable
-    from hiersched.learning.policy import TrainedPolicy
-
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder, "policy.pt")
-        file.write_bytes(weights)
-        policy = TrainedPolicy.load(file)
+    policy = TrainedPolicy.from_bytes(weights, origin)
     is_learned = run.policy not in untrained_names(run.scenario)
     name = run.policy if is_learned else run.scenario.learning.algorithm
     return NamedPolicy(name, runnable(policy, weights, run.scenario))

@@ -1,14 +1,15 @@
 from __future__ import annotations
 
+from base64 import b64encode
 from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
 from hiersched.core.randomness import world_keys
-from hiersched.learning.policy import PolicyError, TrainedPolicy
+from hiersched.core.sealed import seal_json, unseal_json
 from hiersched.learning.trainer import Trainer
+from hiersched.policies.trained import PolicyError, TrainedPolicy
 from hiersched.simulator import Simulator
 
 
@@ -83,25 +84,49 @@ def test_a_run_in_two_parts_is_the_run(scenario, gains):
 
 def test_a_saved_policy_comes_back_bit_for_bit(scenario, tmp_path):
     policy = some_policy(scenario)
-    policy.save(tmp_path / "policy.pt")
-    loaded = TrainedPolicy.load(tmp_path / "policy.pt")
+    policy.save(tmp_path / "policy.json")
+    loaded = TrainedPolicy.load(tmp_path / "policy.json")
     for name, value in vars(policy).items():
         np.testing.assert_array_equal(value, getattr(loaded, name), err_msg=name)
-    assert [path.name for path in tmp_path.iterdir()] == ["policy.pt"]
+    assert [path.name for path in tmp_path.iterdir()] == ["policy.json"]
 
 
 def test_files_that_are_no_policy_are_refused(scenario, tmp_path):
-    path = tmp_path / "policy.pt"
+    path = tmp_path / "policy.json"
     path.write_bytes(b"nothing")
-    with pytest.raises(PolicyError, match=r"policy\.pt: not a policy file"):
-        TrainedPolicy.load(path)
-    some_policy(scenario).save(path)
-    saved = torch.load(path, weights_only=True)
-    torch.save({**saved, "feature_version": 99}, path)
-    with pytest.raises(PolicyError, match="feature_version = 99: must be"):
+    with pytest.raises(PolicyError, match=r"policy\.json: not a policy: its first line"):
         TrainedPolicy.load(path)
     with pytest.raises(FileNotFoundError):
-        TrainedPolicy.load(tmp_path / "missing.pt")
+        TrainedPolicy.load(tmp_path / "missing.json")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"format": "hiersched policy 2"}, "its format is another than 'hiersched policy 3'"),
+        ({"feature_version": 99}, "feature_version = 99: must be 1 "),
+        ({"hidden": [6, 6]}, "314 parameters: must be 2 x 199 "),
+        ({"hidden": [0]}, "hidden.0: Input should be greater than or equal to 1"),
+        ({"hidden": [10**9] * 9}, "hidden.0: Input should be less than or equal to 10000"),
+        ({"network": "transformer"}, "network: Input should be 'shared' or 'mlp'"),
+        ({"multipliers": [-1.0]}, "multipliers.0: Input should be greater than or equal to 0"),
+        ({"parameters": "*"}, "base64"),
+        (
+            {"parameters": b64encode(b"\x00\x00\xc0\x7f" * 314).decode()},
+            "its parameters are not all finite",
+        ),
+        ({"parameters": None}, "parameters: Input should be a valid string"),
+        ({"more": 1}, "more: Unexpected keyword argument"),
+    ],
+)
+def test_content_that_is_no_policy_is_refused_though_its_checksum_is_right(
+    scenario, tmp_path, change, words
+):
+    path = tmp_path / "policy.json"
+    some_policy(scenario).save(path)
+    path.write_text(seal_json(unseal_json(path.read_bytes()) | change))
+    with pytest.raises(PolicyError, match=rf"policy\.json: not a policy: .*{words}"):
+        TrainedPolicy.load(path)
 
 
 def test_a_policy_runs_on_another_number_of_users(scenario, gains):
