@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import json
 import logging
 import math
 from dataclasses import replace
@@ -11,6 +10,7 @@ import pytest
 import hiersched.control.gain_schedule as schedule_module
 from hiersched.control import GainSchedule, build_schedule, certify, hold_delays, load_or_build
 from hiersched.control.design import GainDesigner
+from hiersched.core.sealed import seal_json, unseal_json
 
 ADJUSTED = range(4, 13)
 DEVIATIONS = (5.0, 9.1, 12.2, 15.8, 19.2, 22.0, 24.3, 26.0, 27.5)
@@ -155,10 +155,10 @@ def test_lookup_outside_the_table_is_an_error(schedule, delay):
     ],
 )
 def test_from_json_names_the_field(schedule, change, message):
-    document = json.loads(schedule.to_json())
+    document = unseal_json(schedule.to_json().encode())
     change(document)
     with pytest.raises(ValueError, match=message):
-        GainSchedule.from_json(json.dumps(document))
+        GainSchedule.from_json(seal_json(document))
 
 
 def test_cache_is_used_rebuilt_and_repaired(tmp_path, make_network_plant, monkeypatch, caplog):

@@ -211,5 +211,5 @@ def test_gains_without_certificate_are_never_covered(make_network_plant):
 
 def test_report_refuses_another_plants_schedule(study, make_network_plant):
     _, table, _ = study
-    with pytest.raises(ValueError, match="its check says otherwise"):
+    with pytest.raises(ValueError, match=r"sampling_s is 0\.02; it must be 0\.05"):
         switching_report(make_network_plant(sampling_s=0.05), table)

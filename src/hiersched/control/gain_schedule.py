@@ -19,11 +19,12 @@ from hiersched.control.certificate import (
     Certificate,
     Method,
     Status,
-    certify,
 )
 from hiersched.control.checks import FloatArray, as_matrix, as_samples
 from hiersched.control.delayed_plant import DelayedPlant
+from hiersched.control.gain_schedule_check import check_schedule
 from hiersched.control.gain_schedule_json import dump_schedule, parse_schedule
+from hiersched.core.files import write_bytes
 
 logger = logging.getLogger(__name__)
 
@@ -152,27 +153,25 @@ class GainSchedule:
         return np.asarray(self.gains[steps])
 
     def verify(self, plant: DelayedPlant) -> None:
-        """Recompute every certificate for a plant; ValueError if one is not as recorded."""
-        for delay, (gain, old) in enumerate(zip(self.gains, self.certificates, strict=True)):
-            if self.input_gains[delay].any():
-                continue  # never certified: there is no verdict to check
-            new = certify(*plant.closed_loop(gain), delay, old.witness)
-            if new.certified != old.certified:
-                raise ValueError(
-                    f"the gain for T={delay} is recorded as "
-                    f"{'certified' if old.certified else 'not certified'}, but its check says "
-                    f"otherwise: margins {dict(new.margins)}, "
-                    f"largest spectral radius {new.spectral_radii.max():.6g}"
-                )
+        """Recompute for a plant all that the schedule says of its gains.
+
+        Numbers may differ by what another processor rounds differently. ValueError if a gain, its
+        status or its certificate is not what this method makes for this plant.
+        """
+        check_schedule(self, plant)
 
     def to_json(self) -> str:
         """Return the schedule as JSON text; every float comes back bit for bit."""
         return dump_schedule(self)
 
     @classmethod
-    def from_json(cls, text: str) -> GainSchedule:
-        """Return the schedule that `to_json` wrote; a ValueError names the field that is wrong."""
-        return cls(**parse_schedule(text))
+    def from_json(cls, text: str, *, vouched: bool = False) -> GainSchedule:
+        """Return the schedule that `to_json` wrote.
+
+        Where something else has `vouched` for the text, such as a log's checksum, it may be one of
+        an earlier version, which has none. A ValueError names the field that is wrong.
+        """
+        return cls(**parse_schedule(text, vouched=vouched))
 
 
 def design_key(
@@ -200,8 +199,12 @@ def build_schedule(
     method: Method = "krasovskii",
     *,
     decay_rate: float = DEFAULT_DECAY_RATE,
+    key: str | None = None,
 ) -> GainSchedule:
-    """Design the gain of every delay 0..T_max in samples; each is that of `GainDesigner`."""
+    """Design the gain of every delay 0..T_max in samples; each is that of `GainDesigner`.
+
+    `key` names the design; its `design_key` unless given.
+    """
     from hiersched.control.design import GainDesigner
 
     designer = GainDesigner(plant, method=method, decay_rate=decay_rate)
@@ -230,7 +233,7 @@ def build_schedule(
         method=method,
         decay_rate=decay_rate if method == "razumikhin" else None,
         sampling_s=plant.sampling_s,
-        key=design_key(plant, steps, method, decay_rate),
+        key=design_key(plant, steps, method, decay_rate) if key is None else key,
     )
 
 
@@ -241,14 +244,15 @@ def load_or_build(
     method: Method = "krasovskii",
     *,
     decay_rate: float = DEFAULT_DECAY_RATE,
+    key: str | None = None,
 ) -> GainSchedule:
     """Return the schedule cached as JSON at `path` if it is this design's, else build and store it.
 
-    A cached schedule passes its certificates again before it is used; a file that is not usable is
-    logged. The file is replaced atomically. The rest is as for `build_schedule`.
+    A cached schedule is verified before it is used; a file that is not usable is logged. The file
+    is replaced atomically. The rest is as for `build_schedule`.
     """
     target = Path(path)
-    key = design_key(plant, max_delay_steps, method, decay_rate)
+    key = design_key(plant, max_delay_steps, method, decay_rate) if key is None else key
     if target.exists():
         try:
             schedule = GainSchedule.from_json(target.read_text(encoding="utf-8"))
@@ -258,9 +262,6 @@ def load_or_build(
             logger.info("%s holds another design's gains; designing anew", target)
         except ValueError as error:
             logger.warning("%s is not usable (%s); designing anew", target, error)
-    schedule = build_schedule(plant, max_delay_steps, method, decay_rate=decay_rate)
-    target.parent.mkdir(parents=True, exist_ok=True)
-    part = target.with_name(f"{target.name}.{os.getpid()}.part")
-    part.write_text(schedule.to_json(), encoding="utf-8")
-    os.replace(part, target)
+    schedule = build_schedule(plant, max_delay_steps, method, decay_rate=decay_rate, key=key)
+    write_bytes(target, schedule.to_json().encode())
     return schedule

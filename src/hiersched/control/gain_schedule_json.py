@@ -1,4 +1,4 @@
-"""JSON form of gain schedules: lossless for every float, with errors that name the field."""
+"""JSON form of gain schedules: lossless, with a checksum, and errors that name the field."""
 
 from __future__ import annotations
 
@@ -17,11 +17,14 @@ from hiersched.control.certificate import (
     Witness,
 )
 from hiersched.control.checks import FloatArray
+from hiersched.core.sealed import seal_json, unseal_json
 
 if TYPE_CHECKING:
     from hiersched.control.gain_schedule import GainSchedule
 
-FORMAT = "hiersched gain schedule 2"
+FORMAT = "hiersched gain schedule 3"
+_UNSEALED = "hiersched gain schedule 2"
+"""Of earlier versions, without a checksum: still in their logs."""
 _WITNESSES: dict[str, type[Witness]] = {
     witness.criterion: witness
     for witness in (RazumikhinWitness, DelayRazumikhinWitness, KrasovskiiWitness)
@@ -55,7 +58,7 @@ def dump_schedule(schedule: GainSchedule) -> str:
     ]
     head = {name: getattr(schedule, name) for name in _HEAD}
     document = {"format": FORMAT, **head, "entries": entries}
-    return json.dumps(document, indent=1, allow_nan=False, default=_plain) + "\n"
+    return seal_json(document, default=_plain)
 
 
 def _plain(value: FloatArray | Certificate | Witness) -> Any:
@@ -67,14 +70,18 @@ def _plain(value: FloatArray | Certificate | Witness) -> Any:
     return vars(value)
 
 
-def parse_schedule(text: str) -> dict[str, Any]:
+def parse_schedule(text: str, *, vouched: bool) -> dict[str, Any]:
     """Return the arguments of `GainSchedule` that `dump_schedule` wrote.
 
-    ValueError if the text is no schedule; the message names the field.
+    Where something else has `vouched` for the text, such as a log's checksum, it may be one of an
+    earlier version without a checksum. ValueError if it is no schedule; the message names the
+    field.
     """
-    document = json.loads(text)
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise ValueError(f"not a gain schedule: its format must be {FORMAT!r}")
+    document = _unsealed(text) if vouched else None
+    if document is None:
+        document = unseal_json(text.encode())
+        if document.get("format") != FORMAT:
+            raise ValueError(f"not a gain schedule: its format must be {FORMAT!r}")
     entries = _field(document, "entries", list)
     for delay, entry in enumerate(entries):
         if not isinstance(entry, dict) or entry.get("delay_steps") != delay:
@@ -94,6 +101,16 @@ def parse_schedule(text: str) -> dict[str, Any]:
         ),
         "input_gains": _parse_input_gains(entries, len(head["nominal"])),
     }
+
+
+def _unsealed(text: str) -> dict[str, Any] | None:
+    """Read a schedule of an earlier version; None if it is another text."""
+    try:
+        document = json.loads(text)
+    except (ValueError, RecursionError):
+        return None
+    old = isinstance(document, dict) and document.get("format") == _UNSEALED
+    return document if old else None
 
 
 def _parse_input_gains(entries: list[Any], inputs: int) -> FloatArray:

@@ -26,11 +26,15 @@ def unseal(sealed: bytes) -> bytes:
 def seal_json(document: Mapping[str, Any], default: Callable[[Any], Any] | None = None) -> str:
     """Write a mapping, not empty, as JSON whose first line is the checksum of the others.
 
-    Floats are in their shortest form that reads back exactly; `default` makes JSON of what is none.
-    ValueError if a number is not finite.
+    A line a key. Floats are in their shortest form that reads back exactly; `default` makes JSON of
+    what is none. ValueError if a number is not finite.
     """
-    text = json.dumps(document, indent=1, allow_nan=False, default=default)
-    return _with_checksum(text.removeprefix("{\n") + "\n")
+    lines = (
+        f"{json.dumps(key)}:"
+        + json.dumps(value, allow_nan=False, default=default, separators=(",", ":"))
+        for key, value in document.items()
+    )
+    return _with_checksum(",\n".join(lines) + "\n}\n")
 
 
 def unseal_json(sealed: bytes) -> dict[str, Any]:

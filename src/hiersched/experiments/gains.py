@@ -9,10 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from hiersched.control import GainSchedule, load_or_build
-from hiersched.control.gain_schedule import design_key
 from hiersched.experiments.points import Experiment, experiments, value_text
 from hiersched.scenario import Scenario
-from hiersched.simulator.gain_source import design_values
+from hiersched.simulator.gain_source import design_values, read_gains, scenario_key
 from hiersched.simulator.loop_gains import Gains, loop_gains, plant_of
 
 
@@ -76,6 +75,7 @@ def design_gains(scenario: Scenario, design: str, path: Path) -> GainSchedule:
         variant.max_delay_steps,
         control.method,
         decay_rate=control.decay_rate,
+        key=scenario_key(variant),
     )
 
 
@@ -85,16 +85,7 @@ def load_gains(path: Path, scenario: Scenario) -> tuple[GainSchedule, Gains]:
     Raises
     ------
     ValueError
-        If the file holds the gains of another design.
+        If the file is damaged or holds other gains.
     """
-    schedule = GainSchedule.from_json(path.read_text(encoding="utf-8"))
-    plant, control = plant_of(scenario), scenario.control
-    key = design_key(plant, scenario.max_delay_steps, control.method, control.decay_rate)
-    if schedule.key != key:
-        raise ValueError(
-            f"{path}: gains of another design ({schedule.method}, {schedule.kind} plant, sampling "
-            f"{schedule.sampling_s:g} s, T_max {schedule.max_delay_steps}) than the scenario's "
-            f"({control.method}, {scenario.plant_name} plant, sampling {control.sampling_s:g} s, "
-            f"T_max {scenario.max_delay_steps})"
-        )
-    return schedule, loop_gains(schedule, control.gain)
+    schedule = read_gains(path, scenario)
+    return schedule, loop_gains(schedule, scenario.control.gain)

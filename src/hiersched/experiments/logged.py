@@ -20,6 +20,7 @@ from hiersched.log import LogError, LogReader
 from hiersched.policies.policy import LoggedDecisions
 from hiersched.scenario import Scenario, ScenarioError, load_resolved
 from hiersched.simulator import Gains, Simulator
+from hiersched.simulator.gain_source import check_gains
 from hiersched.simulator.loop_gains import loop_gains
 
 STAGES = ("train", "checkpoint", "evaluate", "sweep", "generalise", "gain_study")
@@ -140,7 +141,7 @@ def load_run(path: str | os.PathLike[str]) -> LoggedRun:
         raise fail(f"its stage is {metadata['stage']!r}; allowed: {', '.join(STAGES)}")
     try:
         scenario, added_keys, sha256 = _scenario(attachments["scenario.yaml"])
-        schedule = _schedule(attachments["schedule.json"])
+        schedule = _schedule(attachments["schedule.json"], scenario)
         keys, episode_slots = _worlds(metadata, num_slots)
     except (ScenarioError, ValueError, KeyError) as error:
         raise fail(str(error)) from error
@@ -182,9 +183,11 @@ def _scenario(text: bytes) -> tuple[Scenario, tuple[str, ...], str]:
 
 
 @lru_cache(maxsize=8)
-def _schedule(text: bytes) -> GainSchedule:
-    """Read a schedule; logs in a row carry the same one."""
-    return GainSchedule.from_json(text.decode())
+def _schedule(text: bytes, scenario: Scenario) -> GainSchedule:
+    """Read and check a schedule; logs in a row carry the same one."""
+    schedule = GainSchedule.from_json(text.decode(), vouched=True)
+    check_gains(schedule, scenario)
+    return schedule
 
 
 @dataclass(frozen=True, kw_only=True)

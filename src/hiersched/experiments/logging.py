@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -104,9 +103,7 @@ def _attached(scenario: Scenario, schedule: GainSchedule) -> _Attached:
     if not any(a.scenario is scenario and a.schedule is schedule for a in _last_attached):
         files = {
             "scenario.yaml": scenario_to_yaml(scenario).encode(),
-            "schedule.json": json.dumps(
-                json.loads(schedule.to_json()), separators=(",", ":")
-            ).encode(),
+            "schedule.json": schedule.to_json().encode(),
         }
         _last_attached[:] = [_Attached(scenario, schedule, scenario_sha256(scenario), files)]
     return _last_attached[0]

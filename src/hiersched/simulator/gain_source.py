@@ -47,14 +47,51 @@ def design_values(scenario: Scenario) -> str:
     return json.dumps(values, sort_keys=True)
 
 
-def shipped_file(scenario: Scenario) -> Path:
-    """Path of a scenario's schedule among those that the package ships, whether it is there or not.
+def scenario_key(scenario: Scenario) -> str:
+    """Return the key of a scenario's gains: a hash of the values that a design depends on.
 
-    It is named after the values of the design: the matrices that follow from them differ in their
-    last bits from one processor to another.
+    The matrices that follow from them differ in their last bits from one processor to another.
     """
     text = f"{DESIGN_VERSION} {design_values(scenario)}"
-    return SHIPPED / f"{hashlib.sha256(text.encode()).hexdigest()[:16]}.json"
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def shipped_file(scenario: Scenario) -> Path:
+    """Path of a scenario's schedule among those that the package ships, there or not."""
+    return SHIPPED / f"{scenario_key(scenario)[:16]}.json"
+
+
+def check_gains(schedule: GainSchedule, scenario: Scenario) -> None:
+    """Check that a schedule is one for a scenario: its method, its plant, all that it says.
+
+    ValueError if it is not.
+    """
+    control = scenario.control
+    rate = control.decay_rate if control.method == "razumikhin" else None
+    for name, wanted in (
+        ("method", control.method),
+        ("max_delay_steps", scenario.max_delay_steps),
+        ("decay_rate", rate),
+    ):
+        found = getattr(schedule, name)
+        if found != wanted:
+            raise ValueError(f"{name} is {found!r}; it must be {wanted!r}, as in the scenario")
+    schedule.verify(plant_of(scenario))
+
+
+def read_gains(path: Path, scenario: Scenario) -> GainSchedule:
+    """Read the schedule of a scenario, and check that it is one.
+
+    ValueError, with the path, if the file is damaged or holds other gains.
+    """
+    try:
+        schedule = GainSchedule.from_json(path.read_text(encoding="utf-8"))
+        if schedule.key != scenario_key(scenario):
+            raise ValueError("its key is that of another design than the scenario's")
+        check_gains(schedule, scenario)
+    except ValueError as error:
+        raise ValueError(f"{path}: not the gains of scenario {scenario.name}: {error}") from error
+    return schedule
 
 
 def design_schedule(scenario: Scenario) -> GainSchedule:
@@ -72,6 +109,7 @@ def design_schedule(scenario: Scenario) -> GainSchedule:
             scenario.max_delay_steps,
             control.method,
             decay_rate=control.decay_rate,
+            key=scenario_key(scenario),
         )
 
 
@@ -85,7 +123,7 @@ def scenario_schedule(scenario: Scenario) -> GainSchedule:
     """
     path = shipped_file(scenario)
     if path.is_file():
-        return GainSchedule.from_json(path.read_text(encoding="utf-8"))
+        return read_gains(path, scenario)
     return design_schedule(scenario)
 
 

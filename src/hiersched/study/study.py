@@ -14,6 +14,7 @@ from hiersched.experiments import files
 from hiersched.experiments.gains import design_of, designs
 from hiersched.experiments.points import Point, experiments
 from hiersched.scenario import Scenario
+from hiersched.simulator.gain_source import read_gains
 from hiersched.study.measure import RUN_TABLES, measured_groups, table_file
 
 
@@ -136,8 +137,8 @@ class Study:
 
     def schedule(self, variant: Scenario) -> GainSchedule:
         """Read the gain schedule of a variant of the scenario."""
-        name = files.gain_file(design_of(self.scenario, variant))
-        return GainSchedule.from_json((self.results / name).read_text(encoding="utf-8"))
+        path = self.results / files.gain_file(design_of(self.scenario, variant))
+        return read_gains(path, variant)
 
     @property
     def bound(self) -> pd.DataFrame:

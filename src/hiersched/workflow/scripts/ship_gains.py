@@ -1,7 +1,5 @@
 """Design the gains that the package ships: those of its scenarios."""
 
-import json
-
 from hiersched.scenario import load_scenario
 from hiersched.scenario.plugins import CONFIG
 from hiersched.simulator.gain_source import SHIPPED, design_schedule, shipped_file
@@ -14,9 +12,7 @@ def main() -> None:
     for old in set(SHIPPED.iterdir()) - files.keys():
         old.unlink()
     for path, scenario in files.items():
-        document = json.loads(design_schedule(scenario).to_json())
-        text = json.dumps(document, separators=(",", ":"))
-        path.write_text(f"{text}\n", encoding="utf-8")
+        path.write_text(design_schedule(scenario).to_json(), encoding="utf-8")
 
 
 if __name__ == "__main__":
