@@ -125,7 +125,7 @@ def test_logs_of_other_cells(tiny: Scenario, results: Path, run: Run) -> None:
 
 def test_gains_of_another_design_are_refused(tiny: Scenario, results: Path) -> None:
     other = replace(tiny, control=replace(tiny.control, weight=100.0))
-    with pytest.raises(ValueError, match="gains of another design"):
+    with pytest.raises(ValueError, match="its key is that of another design"):
         load_gains(results / "gains/schedule.json", other)
     with pytest.raises(ValueError, match="design = 'schedule_1': must be one of schedule, "):
         design_gains(tiny, "schedule_1", results / "x.json")

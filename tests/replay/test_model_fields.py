@@ -12,13 +12,17 @@ import numpy as np
 import pytest
 
 from hiersched.cli import main
+from hiersched.control import GainSchedule
 from hiersched.core import registry
+from hiersched.experiments.files import gain_file
+from hiersched.experiments.gains import designs
 from hiersched.experiments.logged import load_run, read_slots
 from hiersched.experiments.run import run_experiment
 from hiersched.experiments.worlds import untrained_policies
 from hiersched.log import LogError, LogReader, log_digest
 from hiersched.replay.verify import expand, verify
 from hiersched.scenario import load_scenario
+from hiersched.simulator.gain_source import scenario_key
 from hiersched.study.metrics import measured_row
 
 PLUGIN = '''
@@ -122,8 +126,16 @@ def told(
         results = {}
         for profile in ("full", "compact", "decisions"):
             results[profile] = folder / profile
-            results[profile].mkdir()
-            (results[profile] / "gains").symlink_to(study / "gains")
+            (results[profile] / "gains").mkdir(parents=True)
+            designed = {
+                name: v
+                for name, v in designs(scenario).items()
+                if (study / gain_file(name)).exists()
+            }
+            for name, variant in designed.items():  # the matrices are the same
+                gains = GainSchedule.from_json((study / gain_file(name)).read_text())
+                text = replace(gains, key=scenario_key(variant)).to_json()
+                (results[profile] / gain_file(name)).write_text(text)
             log = replace(scenario.log, evaluate_profile=profile)
             own = replace(scenario, log=log), results[profile]
             run_experiment(*own, "evaluate", "classical", untrained_policies, measured_row)

@@ -77,11 +77,11 @@ def parse_schedule(text: str, *, vouched: bool) -> dict[str, Any]:
     earlier version without a checksum. ValueError if it is no schedule; the message names the
     field.
     """
-    document = _unsealed(text) if vouched else None
+    document, wanted = _unsealed(text) if vouched else None, _UNSEALED
     if document is None:
-        document = unseal_json(text.encode())
-        if document.get("format") != FORMAT:
-            raise ValueError(f"not a gain schedule: its format must be {FORMAT!r}")
+        document, wanted = unseal_json(text.encode()), FORMAT
+    if document.get("format") != wanted:
+        raise ValueError(f"not a gain schedule: its format must be {wanted!r}")
     entries = _field(document, "entries", list)
     for delay, entry in enumerate(entries):
         if not isinstance(entry, dict) or entry.get("delay_steps") != delay:
@@ -104,13 +104,12 @@ def parse_schedule(text: str, *, vouched: bool) -> dict[str, Any]:
 
 
 def _unsealed(text: str) -> dict[str, Any] | None:
-    """Read a schedule of an earlier version; None if it is another text."""
+    """Read JSON without a checksum; None if it is another text."""
     try:
         document = json.loads(text)
     except (ValueError, RecursionError):
         return None
-    old = isinstance(document, dict) and document.get("format") == _UNSEALED
-    return document if old else None
+    return document if isinstance(document, dict) and "sha256" not in document else None
 
 
 def _parse_input_gains(entries: list[Any], inputs: int) -> FloatArray:
