@@ -5,10 +5,11 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import redirect_stderr, redirect_stdout
 from importlib.metadata import version
 
-from hiersched.cli.errors import InputError
 from hiersched.core.extras import MissingExtraError, naming_extras
+from hiersched.core.faults import InputError, PrintableStream, printable
 
 BAD_INPUT = 2
 
@@ -27,25 +28,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit status: 0; 1 when a log is not what it should be; 2 when the input is at fault (one
         message on stderr); 3 when a recovered log lacks something; of a study Snakemake's.
     """
-    from hiersched.log import LogError
-    from hiersched.scenario import ScenarioError
-
     parsed = _parser().parse_args(arguments)
     command: Callable[[argparse.Namespace], int] = parsed.command
+    out, err = PrintableStream(sys.stdout), PrintableStream(sys.stderr)
     try:
-        with naming_extras():
+        with naming_extras(), redirect_stdout(out), redirect_stderr(err):
             return command(parsed)
     except BrokenPipeError:  # the reader of our output has seen enough
         sys.stderr.close()
         return 0
-    except (InputError, LogError, MissingExtraError, ScenarioError) as error:
+    except (InputError, MissingExtraError) as error:
         return _complain(str(error))
     except OSError as error:
         return _complain(f"{error.filename}: {error.strerror}" if error.filename else str(error))
 
 
 def _complain(message: str) -> int:
-    print(f"hiersched: {message}", file=sys.stderr)
+    print(f"hiersched: {printable(message)}", file=sys.stderr)
     return BAD_INPUT
 
 

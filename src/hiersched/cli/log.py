@@ -76,7 +76,7 @@ def _recover(parsed: argparse.Namespace) -> int:
     try:
         report = recover(parsed.log, parsed.out)
     except FileExistsError as error:
-        from hiersched.cli.errors import InputError
+        from hiersched.core.faults import InputError
 
         raise InputError(str(error)) from error
     spans = ", ".join(f"{start} to {stop - 1}" for start, stop in report.spans) or "none"
@@ -153,7 +153,7 @@ def _statistics(log: LogReader) -> list[str]:
 
 
 def _export(parsed: argparse.Namespace) -> int:
-    from hiersched.cli.errors import InputError
+    from hiersched.core.faults import InputError
     from hiersched.replay.export import export_for_viewers, export_tables
 
     source = Path(parsed.log)

@@ -45,7 +45,7 @@ def add_commands(commands: Any) -> None:
 
 
 def _replay(parsed: argparse.Namespace) -> int:
-    from hiersched.cli.errors import InputError
+    from hiersched.core.faults import InputError
     from hiersched.experiments.logged import load_run
     from hiersched.replay.verify import decides_again, expand, verify
 
@@ -80,7 +80,7 @@ def _replay(parsed: argparse.Namespace) -> int:
 
 
 def _counterfactual(run: LoggedRun, policy: str, out: str | None) -> int:
-    from hiersched.cli.errors import InputError
+    from hiersched.core.faults import InputError
     from hiersched.log import LogError, log_digest
     from hiersched.replay.compare import compare_logs
     from hiersched.replay.counterfactual import policy_of, rerun

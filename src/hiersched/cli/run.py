@@ -63,7 +63,7 @@ def add_commands(commands: Any) -> None:
 
 
 def _new(parsed: argparse.Namespace) -> int:
-    from hiersched.cli.errors import InputError
+    from hiersched.core.faults import InputError
 
     folder = Path(parsed.folder)
     if folder.is_dir() and any(folder.iterdir()):
@@ -74,7 +74,7 @@ def _new(parsed: argparse.Namespace) -> int:
 
 
 def _run(parsed: argparse.Namespace) -> int:
-    from hiersched.cli.errors import InputError
+    from hiersched.core.faults import InputError
 
     is_study = parsed.policy is None
     for name in ("seconds", "seed", "out") if is_study else ("snakemake",):
@@ -95,7 +95,7 @@ def _study(parsed: argparse.Namespace) -> int:
 
 
 def _world(parsed: argparse.Namespace) -> int:
-    from hiersched.cli.errors import InputError
+    from hiersched.core.faults import InputError
     from hiersched.scenario import load_scenario
     from hiersched.study.metrics import run_metrics
 

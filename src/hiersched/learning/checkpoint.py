@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 
+from hiersched.core.faults import InputError
 from hiersched.core.files import write_bytes
 from hiersched.core.sealed import seal, unseal
 from hiersched.policies.features import FEATURE_VERSION
@@ -15,7 +16,7 @@ from hiersched.policies.features import FEATURE_VERSION
 _FORMAT = 4
 
 
-class CheckpointError(ValueError):
+class CheckpointError(InputError, ValueError):
     """A checkpoint that cannot be resumed: the message says what differs."""
 
 

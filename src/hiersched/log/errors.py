@@ -11,6 +11,8 @@ import zstandard
 from google.protobuf.message import DecodeError
 from mcap.exceptions import McapError
 
+from hiersched.core.faults import InputError
+
 # What decoding bytes that are no such record can raise.
 _DECODING_ERRORS = (
     McapError,
@@ -26,7 +28,7 @@ _DECODING_ERRORS = (
 )
 
 
-class LogError(Exception):
+class LogError(InputError):
     """A file is not a log that can be trusted, or not one that holds what was asked for.
 
     It names `file`, `offset`, the byte at which the trouble lies, and `what` is wrong.

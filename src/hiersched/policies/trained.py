@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
+from hiersched.core.faults import InputError
 from hiersched.core.files import write_bytes
 from hiersched.core.parameters import NonEmpty, NonNegative, Seed, read_strictly
 from hiersched.core.sealed import SealError, seal_json, unseal_json
@@ -31,7 +32,7 @@ _FLOAT32 = np.dtype("<f4")
 _Users = Annotated[int, Field(ge=1, le=10_000)]
 
 
-class PolicyError(ValueError):
+class PolicyError(InputError, ValueError):
     """A policy file that cannot be used: the message says what is wrong and what is allowed."""
 
 

@@ -10,6 +10,7 @@ from typing import Any, get_type_hints
 
 from pydantic import ValidationError
 
+from hiersched.core.faults import InputError
 from hiersched.models.model import SECTIONS, Section
 from hiersched.policies.registry import RULES
 from hiersched.scenario.old_keys import new_key
@@ -18,7 +19,7 @@ from hiersched.scenario.schema import Axis, Scenario
 Location = tuple[str | int, ...]
 
 
-class ScenarioError(ValueError):
+class ScenarioError(InputError, ValueError):
     """A scenario that cannot be run: the message names file, key, value and what is allowed."""
 
 

@@ -11,6 +11,7 @@ from typing import Any
 from hiersched.control import GainSchedule, build_schedule
 from hiersched.control.gain_schedule import DESIGN_VERSION
 from hiersched.core.extras import naming_extras
+from hiersched.core.faults import InputError
 from hiersched.scenario import Scenario, scenario_to_dict
 from hiersched.scenario.plugins import CONFIG
 from hiersched.simulator.loop_gains import Gains, loop_gains, plant_of
@@ -79,10 +80,14 @@ def check_gains(schedule: GainSchedule, scenario: Scenario) -> None:
     schedule.verify(plant_of(scenario))
 
 
+class GainsError(InputError, ValueError):
+    """A file that does not hold the gains of the scenario: the message says why."""
+
+
 def read_gains(path: Path, scenario: Scenario) -> GainSchedule:
     """Read the schedule of a scenario, and check that it is one.
 
-    ValueError, with the path, if the file is damaged or holds other gains.
+    GainsError if the file is damaged or holds other gains.
     """
     try:
         schedule = GainSchedule.from_json(path.read_text(encoding="utf-8"))
@@ -90,7 +95,7 @@ def read_gains(path: Path, scenario: Scenario) -> GainSchedule:
             raise ValueError("its key is that of another design than the scenario's")
         check_gains(schedule, scenario)
     except ValueError as error:
-        raise ValueError(f"{path}: not the gains of scenario {scenario.name}: {error}") from error
+        raise GainsError(f"{path}: not the gains of scenario {scenario.name}: {error}") from error
     return schedule
 
 

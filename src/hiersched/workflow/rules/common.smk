@@ -2,11 +2,14 @@
 
 import shlex
 import sys
+from pathlib import Path
 
+from hiersched.core.faults import printable
 from hiersched.experiments import dependencies, files
 from hiersched.experiments.fingerprint import KERNEL_MODULE, PACKAGE_FOLDER, code_fingerprint
 from hiersched.experiments.gains import designs, experiment_designs
 from hiersched.experiments.points import experiments, groups, load_study, trained_learners
+from hiersched.experiments.turns import begin_run
 from hiersched.scenario import ScenarioError, parameter_notes
 from hiersched.study.built_in import shown
 from hiersched.study.measure import measured_files, measured_groups, table_file
@@ -37,10 +40,11 @@ def load_scenarios():
     return list(scenarios.values())
 
 
+begin_run(Path(".snakemake"))
 try:
     SCENARIOS = load_scenarios()
 except ScenarioError as error:
-    sys.exit(f"error: {error}")
+    sys.exit(f"error: {printable(str(error))}")
 
 NOTES = "\n".join(map(str, parameter_notes()))
 KERNELS = f"results/.kernels/{code_fingerprint(KERNEL_MODULE)[:16]}.txt"

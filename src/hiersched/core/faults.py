@@ -1,0 +1,32 @@
+"""Faults of what users give: one message each, without a traceback, that terminals can show."""
+
+from __future__ import annotations
+
+from typing import IO
+
+
+class InputError(Exception):
+    """A file or a value that a user gave is at fault: the message says what and what is allowed."""
+
+
+def printable(text: str) -> str:
+    """Escape what a terminal would act on: all control characters but new line and tab."""
+    return "".join(
+        c if c.isprintable() or c in "\n\t" else c.encode("unicode_escape").decode() for c in text
+    )
+
+
+class PrintableStream:
+    """A stream that escapes control characters on their way to another one."""
+
+    def __init__(self, stream: IO[str]) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        """Write text; returns how many characters it has."""
+        self._stream.write(printable(text))
+        return len(text)
+
+    def flush(self) -> None:
+        """Flush the other stream."""
+        self._stream.flush()
