@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from hiersched.cli import main
-from hiersched.experiments.points import load_study
+from hiersched.experiments.feasible import load_study
 from hiersched.scenario import ScenarioError, load_scenario, scenario_to_yaml
 
 

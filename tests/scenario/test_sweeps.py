@@ -6,7 +6,8 @@ import pytest
 import yaml
 
 from hiersched.cli import main
-from hiersched.experiments.points import experiments, load_study
+from hiersched.experiments.feasible import load_study
+from hiersched.experiments.points import experiments
 from hiersched.scenario import (
     ScenarioError,
     load_resolved,

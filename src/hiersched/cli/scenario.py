@@ -22,13 +22,22 @@ def add_commands(commands: Any) -> None:
 
 
 def _check(parsed: argparse.Namespace) -> int:
-    from hiersched.experiments.points import load_study
+    from hiersched.experiments.feasible import capacity_mbps, load_study, offered_mbps, warnings
 
     scenario = load_study(parsed.file)
     print(
         f"{parsed.file}: scenario {scenario.name} is fine: {scenario.users.num_urllc} URLLC and "
         f"{scenario.users.num_embb} eMBB users, {scenario.radio.num_prb} PRBs"
     )
+    urllc, embb = offered_mbps(scenario)
+    capacity = capacity_mbps(scenario)
+    print(
+        f"offered: URLLC {urllc:.4g} and eMBB {embb:.4g} Mbit/s; with as many PRBs for each user "
+        f"and no choice of good ones the cell carries about {capacity:.4g} Mbit/s: "
+        f"{100.0 * (urllc + embb) / capacity:.3g} %"
+    )
+    for warning in warnings(scenario):
+        print(f"warning: {warning}")
     return 0
 
 

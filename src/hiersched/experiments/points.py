@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import product
-from pathlib import Path
+from math import prod
 from typing import Any, Literal, TypeAlias
 
 import numpy as np
@@ -21,8 +21,6 @@ from hiersched.core.randomness import STREAM_DELAY, draw_uniforms
 from hiersched.scenario import (
     Scenario,
     ScenarioError,
-    find_scenario,
-    load_scenario,
     with_values,
 )
 from hiersched.scenario.consistency import inconsistencies
@@ -49,6 +47,8 @@ CLASSICAL_GROUP = "classical"
 """Policies that need no training share a job; each learner's have one of their own."""
 GAIN_GROUP = "gains"
 """The loops of the gain study share a job."""
+MOST_POINTS = 1000
+"""Of an axis: each is a job's work, and its name a folder."""
 MAX_NAME = 120
 """Characters of the name of a point: it is a folder."""
 
@@ -208,24 +208,6 @@ def experiments(scenario: Scenario) -> dict[str, Experiment]:
     return {e.name: e for e in found if e.points and e.policies}
 
 
-def load_study(name_or_path: str | Path) -> Scenario:
-    """Load a scenario, and check that every point of its experiments can be run.
-
-    Raises
-    ------
-    ScenarioError
-        As `load_scenario` and `experiments`; every fault names the file.
-    """
-    scenario = load_scenario(name_or_path)
-    try:
-        experiments(scenario)
-    except ScenarioError as error:
-        path = find_scenario(name_or_path)
-        lines = [f"{path}: {line}" for line in str(error).splitlines()]
-        raise ScenarioError("\n".join(lines)) from error
-    return scenario
-
-
 def _evaluation(scenario: Scenario) -> Iterator[Any]:
     worlds = scenario.evaluate
     yield lambda: Experiment(
@@ -275,6 +257,8 @@ def axis_policies(scenario: Scenario, name: str) -> tuple[str, ...]:
 
 def _axis_points(scenario: Scenario, name: str) -> Iterator[Point]:
     vary, where = scenario.sweeps.axes[name].vary, f"sweeps.axes.{name}.vary"
+    if (count := prod(map(len, vary.values()))) > MOST_POINTS:
+        raise ScenarioError(f"{where}: {count} points, must be at most {MOST_POINTS}")
     faults, names = [], set()
     for values in product(*vary.values()):
         text = "_".join(map(value_text, values))

@@ -6,9 +6,10 @@ from pathlib import Path
 
 from hiersched.core.faults import printable
 from hiersched.experiments import dependencies, files
+from hiersched.experiments.feasible import load_study
 from hiersched.experiments.fingerprint import KERNEL_MODULE, PACKAGE_FOLDER, code_fingerprint
 from hiersched.experiments.gains import designs, experiment_designs
-from hiersched.experiments.points import experiments, groups, load_study, trained_learners
+from hiersched.experiments.points import experiments, groups, trained_learners
 from hiersched.experiments.turns import begin_run
 from hiersched.scenario import ScenarioError, parameter_notes
 from hiersched.study.built_in import shown
