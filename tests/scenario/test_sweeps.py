@@ -89,7 +89,7 @@ FAULTS = {
     "{vary: {policies.mine.slope: [1.0]}}": [f"{VARY}.policies.mine.slope: unknown key; allowed"],
     "{vary: {radios.num_prb: [25]}}": [f"{VARY}.radios.num_prb: {SECTIONS}"],
     "{vary: {num_prb: [25]}}": [f"{VARY}.num_prb: {SECTIONS}"],
-    "{vary: {3: [1.0]}}": [f"{VARY}.3: {SECTIONS}"],
+    "{vary: {3: [1.0]}}": ["the key 3 is no text: write it in quotes"],
     # Keys that no slot loop reads.
     "{vary: {learning.discount: [0.5]}}": [
         f"{VARY}.learning.discount: {SECTIONS}",

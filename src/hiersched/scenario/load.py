@@ -36,8 +36,13 @@ def _read_yaml(path: Path) -> dict[str, Any]:
 def _parse_yaml(text: str, path: Path) -> dict[str, Any]:
     try:
         data = parse_yaml(text)
+    except yaml.MarkedYAMLError as error:
+        mark, context = error.problem_mark, f"{error.context}: " if error.context else ""
+        place = f" (line {mark.line + 1}, column {mark.column + 1})" if mark else ""
+        raise ScenarioError(f"{path}: not valid YAML: {context}{error.problem}{place}") from error
     except yaml.YAMLError as error:
-        raise ScenarioError(f"{path}: not valid YAML: {error}") from error
+        text = " ".join(str(error).split())
+        raise ScenarioError(f"{path}: not valid YAML: {text}") from error
     if data is None:
         return {}
     if not isinstance(data, dict):
