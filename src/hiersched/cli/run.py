@@ -57,7 +57,7 @@ def add_commands(commands: Any) -> None:
         "--snakemake",
         type=shlex.split,
         metavar="WORDS",
-        help="more for Snakemake, such as --snakemake='-n --quiet'",
+        help="more for Snakemake, such as --snakemake='-n --quiet rules': what would run",
     )
     run.set_defaults(command=_run)
 
@@ -69,6 +69,7 @@ def _new(parsed: argparse.Namespace) -> int:
     if folder.is_dir() and any(folder.iterdir()):
         raise InputError(f"{folder}: not empty; nothing is overwritten")
     shutil.copytree(PACKAGE / "config" / "new", folder, dirs_exist_ok=True)
+    print(f"{folder}: made; what to type there (cd {shlex.quote(str(folder))}):\n")
     print((folder / "README.md").read_text(encoding="utf-8"), end="")
     return 0
 
@@ -160,11 +161,16 @@ def _table(measures: RunMetrics) -> list[str]:
     lines = [f"{'':24}{'URLLC':>10}{'eMBB':>10}"]
     for name, unit, factor, field in rows:
         of_slices = (factor * getattr(measures, f"{s}_{field}") for s in ("urllc", "embb"))
-        lines.append(f"{name:24}" + "".join(f"{value:10.4g}" for value in of_slices) + f"  {unit}")
+        lines.append(f"{name:24}" + "".join(map(_cell, of_slices)) + f"  {unit}")
     for name, unit, factor, field in (
         ("tracking error", "cm", 1.0, "tracking_error_cm"),
         ("windows off track", "%", 100.0, "off_track_share"),
         ("dexterity index", "", 1.0, "dexterity_index"),
     ):
-        lines.append(f"{name:24}{factor * getattr(measures, field):10.4g}{'':12}{unit}".rstrip())
+        lines.append(f"{name:24}{_cell(factor * getattr(measures, field))}{'':12}{unit}".rstrip())
     return lines
+
+
+def _cell(value: float) -> str:
+    """Four digits, the last ones too where they are 0; nothing at all is 0."""
+    return f"{value:#10.4g}" if value else f"{0:10}"
