@@ -41,7 +41,11 @@ def add_commands(commands: Any) -> None:
     what.add_argument(
         "--cores", type=int, metavar="N", help="run the whole study, N jobs at once (Snakemake)"
     )
-    what.add_argument("--policy", metavar="NAME", help="run this policy in one world")
+    what.add_argument(
+        "--policy",
+        metavar="NAME",
+        help="run this scheduler, or one of the scenario's own policies, in one world",
+    )
     run.add_argument(
         "--seconds", type=float, metavar="S", help="of the world, behind the warm-up of evaluate"
     )
@@ -69,7 +73,7 @@ def _new(parsed: argparse.Namespace) -> int:
     if folder.is_dir() and any(folder.iterdir()):
         raise InputError(f"{folder}: not empty; nothing is overwritten")
     shutil.copytree(PACKAGE / "config" / "new", folder, dirs_exist_ok=True)
-    print(f"{folder}: made; what to type there (cd {shlex.quote(str(folder))}):\n")
+    print(f"{folder}: made. Next: cd {shlex.quote(str(folder))}, and what its README says:\n")
     print((folder / "README.md").read_text(encoding="utf-8"), end="")
     return 0
 
@@ -111,7 +115,9 @@ def _world(parsed: argparse.Namespace) -> int:
     try:
         _log_world(path, scenario, parsed.policy, seed, seconds)
     except ValueError as error:
-        raise InputError(f"{parsed.scenario}: {error}") from error
+        is_learner = parsed.policy in scenario.learned
+        more = "; the study trains learners, hiersched replay LOG --policy FILE runs their weights"
+        raise InputError(f"{parsed.scenario}: {error}{more * is_learner}") from error
     print(
         f"{scenario.name}: {parsed.policy} in world {seed}, {seconds:g} s behind a warm-up of "
         f"{evaluation.warmup_s:g} s\n"
