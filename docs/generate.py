@@ -389,7 +389,11 @@ WHERE = {
         "hiersched.policies.needs:need_mbps",
     ),
     "what a policy's name means": ("hiersched.policies.find:find_policy",),
-    "the slot's Lagrangian": ("hiersched.allocation.objective",),
+    "the slot's Lagrangian": ("hiersched.allocation.objective:slot_terms",),
+    "the delay constraint y: from late packets, the paper's surrogate": (
+        "hiersched.simulator.loop:_account",
+        "hiersched.allocation.objective:delay_surrogate",
+    ),
     "what an agent sees": ("hiersched.policies.features",),
     "rewards of the agents": ("hiersched.learning.rewards",),
     "C1, C2, C3: is a gain safe up to a delay?": (
@@ -409,6 +413,10 @@ WHERE = {
     "likewise: values that do not fit each other": (
         "hiersched.scenario.consistency:inconsistencies",
     ),
+    "an axis of the sweeps: what it varies, its points": (
+        "hiersched.scenario.schema:Axis",
+        "hiersched.experiments.points:load_study",
+    ),
     "a field of the log": ("hiersched.core.fields:FIELDS",),
     "what runs in a study": ("hiersched.experiments.points:experiments",),
     "where a study's files lie": ("hiersched.experiments.files",),
@@ -417,6 +425,11 @@ WHERE = {
         "hiersched.experiments.fingerprint:code_fingerprint",
     ),
     "a measure of a run": ("hiersched.study.metrics:RunMetrics",),
+    "a column of a table": (
+        "hiersched.study.tables.policies",
+        "hiersched.study.tables.gains",
+        "hiersched.study.tables.paper",
+    ),
     "intervals of means and ratios": ("hiersched.study.intervals", "hiersched.study.lognormal"),
     "a table, figure or claim": ("hiersched.study.registry:Shown",),
     "the colour of a policy": (

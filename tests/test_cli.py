@@ -104,6 +104,7 @@ def test_one_world_is_a_table_and_a_log(
     [
         (["smok", "--policy", "pf"], "no such scenario; there are: "),
         (["smoke", "--policy", "ddpg"], "policy = 'ddpg': must be one of pf, "),
+        (["smoke", "--policy", "ddpg"], "exact; the study trains learners"),
         (["smoke", "--policy", "pf", "--seconds", "0"], "--seconds 0: must be a slot of 0.01 s"),
         (["smoke", "--policy", "pf", "--seconds", "nan"], "--seconds nan: must be"),
         (["smoke", "--policy", "pf", "--snakemake=-n"], "--snakemake: only with --cores"),

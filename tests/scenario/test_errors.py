@@ -155,6 +155,14 @@ def test_every_fault_is_listed_on_a_line_of_its_own(load_text):
     assert all(line.startswith(f"{load_text.path}: ") for line in lines)
 
 
+def test_too_few_loads_are_one_fault(load_text):
+    """Nothing that reads a load a user is asked then."""
+    with pytest.raises(ScenarioError) as caught:
+        load_text("users: {num_urllc: 12}")
+    (line,) = str(caught.value).splitlines()
+    assert line.endswith("10 numbers, must be one number or 12")
+
+
 def test_a_fault_of_the_defaults_names_the_defaults(tmp_path, config):
     text = (config / "defaults.yaml").read_text(encoding="utf-8")
     defaults, overlay = tmp_path / "defaults.yaml", tmp_path / "case.yaml"

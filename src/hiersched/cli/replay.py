@@ -136,7 +136,7 @@ def _show(comparison: Comparison) -> None:
     ):
         print(
             f"{name:<22}{baseline:>{first}.6g}{other:>{second}.6g}{mean:>+14.4g}  "
-            f"[{low:.4g}, {high:.4g}] {unit}"
+            f"[{low:.4g}, {high:.4g}] {unit}".rstrip()
         )
     if not comparison.partings:
         print("the logs say the same, bit for bit")

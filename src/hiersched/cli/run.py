@@ -41,7 +41,11 @@ def add_commands(commands: Any) -> None:
     what.add_argument(
         "--cores", type=int, metavar="N", help="run the whole study, N jobs at once (Snakemake)"
     )
-    what.add_argument("--policy", metavar="NAME", help="run this policy in one world")
+    what.add_argument(
+        "--policy",
+        metavar="NAME",
+        help="run this scheduler, or one of the scenario's own policies, in one world",
+    )
     run.add_argument(
         "--seconds", type=float, metavar="S", help="of the world, behind the warm-up of evaluate"
     )
@@ -57,7 +61,7 @@ def add_commands(commands: Any) -> None:
         "--snakemake",
         type=shlex.split,
         metavar="WORDS",
-        help="more for Snakemake, such as --snakemake='-n --quiet'",
+        help="more for Snakemake, such as --snakemake='-n --quiet rules': what would run",
     )
     run.set_defaults(command=_run)
 
@@ -69,6 +73,7 @@ def _new(parsed: argparse.Namespace) -> int:
     if folder.is_dir() and any(folder.iterdir()):
         raise InputError(f"{folder}: not empty; nothing is overwritten")
     shutil.copytree(PACKAGE / "config" / "new", folder, dirs_exist_ok=True)
+    print(f"{folder}: made. Next: cd {shlex.quote(str(folder))}, and what its README says:\n")
     print((folder / "README.md").read_text(encoding="utf-8"), end="")
     return 0
 
@@ -110,7 +115,9 @@ def _world(parsed: argparse.Namespace) -> int:
     try:
         _log_world(path, scenario, parsed.policy, seed, seconds)
     except ValueError as error:
-        raise InputError(f"{parsed.scenario}: {error}") from error
+        is_learner = parsed.policy in scenario.learned
+        more = "; the study trains learners, hiersched replay LOG --policy FILE runs their weights"
+        raise InputError(f"{parsed.scenario}: {error}{more * is_learner}") from error
     print(
         f"{scenario.name}: {parsed.policy} in world {seed}, {seconds:g} s behind a warm-up of "
         f"{evaluation.warmup_s:g} s\n"
@@ -160,11 +167,16 @@ def _table(measures: RunMetrics) -> list[str]:
     lines = [f"{'':24}{'URLLC':>10}{'eMBB':>10}"]
     for name, unit, factor, field in rows:
         of_slices = (factor * getattr(measures, f"{s}_{field}") for s in ("urllc", "embb"))
-        lines.append(f"{name:24}" + "".join(f"{value:10.4g}" for value in of_slices) + f"  {unit}")
+        lines.append(f"{name:24}" + "".join(map(_cell, of_slices)) + f"  {unit}")
     for name, unit, factor, field in (
         ("tracking error", "cm", 1.0, "tracking_error_cm"),
         ("windows off track", "%", 100.0, "off_track_share"),
         ("dexterity index", "", 1.0, "dexterity_index"),
     ):
-        lines.append(f"{name:24}{factor * getattr(measures, field):10.4g}{'':12}{unit}".rstrip())
+        lines.append(f"{name:24}{_cell(factor * getattr(measures, field))}{'':12}{unit}".rstrip())
     return lines
+
+
+def _cell(value: float) -> str:
+    """Four digits, the last ones too where they are 0; nothing at all is 0."""
+    return f"{value:#10.4g}" if value else f"{0:10}"

@@ -48,13 +48,15 @@ def inconsistencies(scenario: Scenario, *, swept: bool = False) -> list[str]:
 
     A `swept` scenario is a point of a sweep: nothing else of the study runs in it.
     """
+    loads = _loads(scenario)
     return [
         *_users(scenario),
+        *loads,
         *_link_budget(scenario),
         *_times(scenario),
         *_control(scenario),
         *reference_faults(scenario, swept=swept),
-        *_models(scenario),
+        *([] if loads else _models(scenario)),  # they read one load a user
         *_own_policies(scenario),
         *_learners(scenario),
         *_worlds(scenario, ("sweeps",) if swept else ("evaluate", "sweeps", "generalise")),
@@ -63,22 +65,24 @@ def inconsistencies(scenario: Scenario, *, swept: bool = False) -> list[str]:
 
 
 def _users(scenario: Scenario) -> list[str]:
-    faults = []
-    users, radio, traffic = scenario.users, scenario.radio, scenario.traffic
-    if scenario.num_users > radio.num_prb:
-        faults.append(
-            f"users.num_urllc + users.num_embb = {scenario.num_users}: at most radio.num_prb = "
-            f"{radio.num_prb}, since every user gets one PRB or more"
+    if scenario.num_users <= scenario.radio.num_prb:
+        return []
+    return [
+        f"users.num_urllc + users.num_embb = {scenario.num_users}: at most radio.num_prb = "
+        f"{scenario.radio.num_prb}, since every user gets one PRB or more"
+    ]
+
+
+def _loads(scenario: Scenario) -> list[str]:
+    users, traffic = scenario.users, scenario.traffic
+    return [
+        f"{key} = {list(value)}: {len(value)} numbers, must be one number or {count}"
+        for key, value, count in (
+            ("traffic.urllc_offered_mbps", traffic.urllc_offered_mbps, users.num_urllc),
+            ("traffic.embb_offered_mbps", traffic.embb_offered_mbps, users.num_embb),
         )
-    for key, value, count in (
-        ("traffic.urllc_offered_mbps", traffic.urllc_offered_mbps, users.num_urllc),
-        ("traffic.embb_offered_mbps", traffic.embb_offered_mbps, users.num_embb),
-    ):
-        if isinstance(value, Sequence) and len(value) != count:
-            faults.append(
-                f"{key} = {list(value)}: {len(value)} numbers, must be one number or {count}"
-            )
-    return faults
+        if isinstance(value, Sequence) and len(value) != count
+    ]
 
 
 def _link_budget(scenario: Scenario) -> list[str]:

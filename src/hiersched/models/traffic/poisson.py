@@ -88,7 +88,7 @@ class Poisson(Arrivals):
         offered = self.offered_mbps(scenario)
         offered_urllc, offered_embb = offered[:num_urllc], offered[num_urllc:]
         # lambda_0 such that the load at the reference rate is the offered one: the interval of the
-        # arrivals is longer than a slot (SPEC 2), so lambda_0 is smaller than the load.
+        # arrivals is longer than a slot, so lambda_0 is smaller than the load.
         base = offered_urllc * slot_s / interval_s + (
             self.rate_sensitivity * self.reference_rate_mbps
         )
