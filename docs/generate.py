@@ -415,7 +415,7 @@ WHERE = {
     ),
     "an axis of the sweeps: what it varies, its points": (
         "hiersched.scenario.schema:Axis",
-        "hiersched.experiments.points:load_study",
+        "hiersched.experiments.feasible:load_study",
     ),
     "a field of the log": ("hiersched.core.fields:FIELDS",),
     "what runs in a study": ("hiersched.experiments.points:experiments",),
