@@ -10,10 +10,12 @@ import shlex
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hiersched.cli.errors import InputError, blaming_input
 from hiersched.core.extras import MissingExtraError
 
 if TYPE_CHECKING:
@@ -38,33 +40,20 @@ def add_commands(commands: Any) -> None:
     run = commands.add_parser("run", help=text, description=text)
     run.add_argument("scenario", metavar="SCENARIO", help="path, or the name of a shipped scenario")
     what = run.add_mutually_exclusive_group(required=True)
-    what.add_argument(
-        "--cores", type=int, metavar="N", help="run the whole study, N jobs at once (Snakemake)"
-    )
+    text = "run the whole study, N jobs at once (Snakemake)"
+    what.add_argument("--cores", type=int, metavar="N", help=text)
     what.add_argument("--policy", metavar="NAME", help="run this policy in one world")
-    run.add_argument(
-        "--seconds", type=float, metavar="S", help="of the world, behind the warm-up of evaluate"
-    )
-    run.add_argument(
-        "--seed", type=int, metavar="N", help="of the world (the first of evaluate.seeds)"
-    )
-    run.add_argument(
-        "--out",
-        metavar="FILE",
-        help="log of the world (results/<scenario>/worlds/<policy>_seed<N>.mcap)",
-    )
-    run.add_argument(
-        "--snakemake",
-        type=shlex.split,
-        metavar="WORDS",
-        help="more for Snakemake, such as --snakemake='-n --quiet'",
-    )
+    for name, kind, metavar, text in (
+        ("seconds", float, "S", "of the world, behind the warm-up of evaluate"),
+        ("seed", int, "N", "of the world (the first of evaluate.seeds)"),
+        ("out", str, "FILE", "log of the world (results/<scenario>/worlds/<policy>_seed<N>.mcap)"),
+        ("snakemake", shlex.split, "WORDS", "more for Snakemake, such as --snakemake='-n --quiet'"),
+    ):
+        run.add_argument(f"--{name}", type=kind, metavar=metavar, help=text)
     run.set_defaults(command=_run)
 
 
 def _new(parsed: argparse.Namespace) -> int:
-    from hiersched.cli.errors import InputError
-
     folder = Path(parsed.folder)
     if folder.is_dir() and any(folder.iterdir()):
         raise InputError(f"{folder}: not empty; nothing is overwritten")
@@ -74,8 +63,6 @@ def _new(parsed: argparse.Namespace) -> int:
 
 
 def _run(parsed: argparse.Namespace) -> int:
-    from hiersched.cli.errors import InputError
-
     is_study = parsed.policy is None
     for name in ("seconds", "seed", "out") if is_study else ("snakemake",):
         if getattr(parsed, name) is not None:
@@ -95,7 +82,6 @@ def _study(parsed: argparse.Namespace) -> int:
 
 
 def _world(parsed: argparse.Namespace) -> int:
-    from hiersched.cli.errors import InputError
     from hiersched.scenario import load_scenario
     from hiersched.study.metrics import run_metrics
 
@@ -107,10 +93,8 @@ def _world(parsed: argparse.Namespace) -> int:
         raise InputError(f"--seconds {seconds:g}: must be a slot of {slot_s:g} s or more")
     default = Path("results", scenario.name, "worlds", f"{parsed.policy}_seed{seed}.mcap")
     path = default if parsed.out is None else Path(parsed.out)
-    try:
+    with blaming_input(prefix=f"{parsed.scenario}: "):
         _log_world(path, scenario, parsed.policy, seed, seconds)
-    except ValueError as error:
-        raise InputError(f"{parsed.scenario}: {error}") from error
     print(
         f"{scenario.name}: {parsed.policy} in world {seed}, {seconds:g} s behind a warm-up of "
         f"{evaluation.warmup_s:g} s\n"
@@ -123,27 +107,21 @@ def _world(parsed: argparse.Namespace) -> int:
 
 def _log_world(path: Path, scenario: Scenario, policy: str, seed: int, seconds: float) -> None:
     """Run a policy in one world of the evaluation, and log it in full."""
-    import numpy as np
-
-    from hiersched.core.randomness import world_key
-    from hiersched.experiments.logging import RunLabel, log_block, open_log
-    from hiersched.policies.find import find_policy
-    from hiersched.simulator import Simulator
+    from hiersched.experiments.logging import RunLabel, write_log
+    from hiersched.experiments.worlds import run_worlds, untrained_policies
     from hiersched.simulator.gain_source import scenario_schedule
     from hiersched.simulator.loop_gains import loop_gains
 
-    runnable = find_policy(scenario, policy)
+    policies = untrained_policies(scenario, policy)
     slot_s = scenario.radio.slot_s
     warmup_slots = round(scenario.evaluate.warmup_s / slot_s)
     num_slots = warmup_slots + round(seconds / slot_s)
     schedule = scenario_schedule(scenario)
     gains = loop_gains(schedule, scenario.control.gain)
-    keys = np.array([world_key("evaluate", seed)], np.uint64)
-    record = Simulator(scenario, gains, keys, num_slots).run(runnable)
+    (run,) = run_worlds(scenario, gains, policies, "evaluate", [seed], num_slots)
+    run = replace(run, metadata={"warmup_slots": str(warmup_slots)})
     label = RunLabel(stage="evaluate", policy=policy, seed=seed)
-    metadata = {"warmup_slots": str(warmup_slots)}
-    with open_log(path, scenario, schedule, label, profile="full", metadata=metadata) as writer:
-        log_block(writer, scenario, schedule, record.environment(0))
+    write_log(path, scenario, schedule, label, run, profile="full")
 
 
 def _table(measures: RunMetrics) -> list[str]:
