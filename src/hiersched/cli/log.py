@@ -8,6 +8,8 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hiersched.core.faults import blaming_input
+
 if TYPE_CHECKING:
     from hiersched.log import LogReader
 
@@ -27,13 +29,11 @@ def add_commands(commands: Any) -> None:
         parser.add_argument("log", metavar="LOG", help="an MCAP file of hiersched")
         parser.set_defaults(command=command)
         if name == "recover":
-            parser.add_argument(
-                "--out", metavar="LOG2", help="the new log (LOG with .recovered.mcap)"
-            )
+            text = "the new log (LOG with .recovered.mcap)"
+            parser.add_argument("--out", metavar="LOG2", help=text)
         if name == "view":
-            parser.add_argument(
-                "--save", metavar="FILE", help="write a Rerun recording (.rrd) instead"
-            )
+            text = "write a Rerun recording (.rrd) instead"
+            parser.add_argument("--save", metavar="FILE", help=text)
         if name == "export":
             _add_export_options(parser)
     text = "print the schema of the logs that this version writes, as a .proto file"
@@ -73,12 +73,8 @@ def _digest(parsed: argparse.Namespace) -> int:
 def _recover(parsed: argparse.Namespace) -> int:
     from hiersched.log import recover
 
-    try:
+    with blaming_input(FileExistsError):
         report = recover(parsed.log, parsed.out)
-    except FileExistsError as error:
-        from hiersched.core.faults import InputError
-
-        raise InputError(str(error)) from error
     spans = ", ".join(f"{start} to {stop - 1}" for start, stop in report.spans) or "none"
     print(f"{report.path}: {report.num_slots} slots ({spans}), {report.num_events} events")
     for loss in report.losses:
@@ -155,21 +151,16 @@ def _statistics(log: LogReader) -> list[str]:
 
 
 def _export(parsed: argparse.Namespace) -> int:
-    from hiersched.core.faults import InputError
     from hiersched.replay.export import export_for_viewers, export_tables
 
     source = Path(parsed.log)
     folder = Path(parsed.out) if parsed.out else source.with_suffix("")
     if parsed.form == "viewer":
-        for path in export_for_viewers(source, folder):
-            print(path)
-        return 0
-    try:
-        written = export_tables(
-            source, folder, parsed.form, parsed.topic, parsed.start, parsed.stop
-        )
-    except ValueError as error:
-        raise InputError(str(error)) from error
+        written = export_for_viewers(source, folder)
+    else:
+        span = parsed.start, parsed.stop
+        with blaming_input():
+            written = export_tables(source, folder, parsed.form, parsed.topic, *span)
     for path in written:
         print(path)
     return 0

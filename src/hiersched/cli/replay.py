@@ -8,6 +8,8 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hiersched.core.faults import InputError, blaming_input
+
 if TYPE_CHECKING:
     from hiersched.experiments.logged import LoggedRun
     from hiersched.replay.compare import Comparison
@@ -25,17 +27,13 @@ def add_commands(commands: Any) -> None:
     )
     replay = commands.add_parser("replay", help=text, description=f"{text}. {more}")
     replay.add_argument("log", metavar="LOG", help="an MCAP file of hiersched")
-    replay.add_argument(
-        "--policy",
-        metavar="NAME",
-        help="run this scheduler, or file of weights, in the world of the log instead",
+    more = "run this scheduler, or file of weights, in the world of the log instead"
+    replay.add_argument("--policy", metavar="NAME", help=more)
+    more = (
+        "write the run again in the profile full if every bit is right; with --policy: keep the "
+        "log of that run, in the profile of LOG"
     )
-    replay.add_argument(
-        "--out",
-        metavar="FULL",
-        help="write the run again in the profile full if every bit is right; with --policy: keep "
-        "the log of that run, in the profile of LOG",
-    )
+    replay.add_argument("--out", metavar="FULL", help=more)
     replay.set_defaults(command=_replay)
     text = "paired differences of runs in the same world, and the slots where they part"
     compare = commands.add_parser("compare", help=text, description=text)
@@ -45,25 +43,18 @@ def add_commands(commands: Any) -> None:
 
 
 def _replay(parsed: argparse.Namespace) -> int:
-    from hiersched.core.faults import InputError
     from hiersched.experiments.logged import load_run
     from hiersched.replay.verify import decides_again, expand, verify
 
     run = load_run(parsed.log)
     if run.added_keys:
-        print(
-            f"{parsed.log}: older than these keys, which take today's defaults: "
-            f"{', '.join(run.added_keys)}",
-            file=sys.stderr,
-        )
+        keys = ", ".join(run.added_keys)
+        text = f"{parsed.log}: older than these keys, which take today's defaults: {keys}"
+        print(text, file=sys.stderr)
     if parsed.policy:
         return _counterfactual(run, parsed.policy, parsed.out)
-    try:
+    with blaming_input(FileExistsError), blaming_input(prefix=f"{parsed.log}: "):
         difference = expand(run, parsed.out) if parsed.out else verify(run)
-    except FileExistsError as error:
-        raise InputError(str(error)) from error
-    except ValueError as error:
-        raise InputError(f"{parsed.log}: {error}") from error
     if difference is None:
         print(f"{parsed.log}: OK, {run.num_slots} slots computed again, every bit the same")
         if run.unknown_fields:
@@ -80,23 +71,18 @@ def _replay(parsed: argparse.Namespace) -> int:
 
 
 def _counterfactual(run: LoggedRun, policy: str, out: str | None) -> int:
-    from hiersched.core.faults import InputError
     from hiersched.log import LogError, log_digest
     from hiersched.replay.compare import compare_logs
     from hiersched.replay.counterfactual import policy_of, rerun
 
-    try:
+    with blaming_input():
         other = policy_of(run, policy)
-    except ValueError as error:
-        raise InputError(str(error)) from error
     if out and Path(out).exists():
         raise InputError(f"{out}: exists; a counterfactual never overwrites a file")
     with tempfile.TemporaryDirectory() as folder:
         target = Path(out) if out else Path(folder, "run.mcap")
-        try:
+        with blaming_input((TypeError, ValueError), f"{run.path}: policy {other.name}: "):
             rerun(run, other, target)
-        except (TypeError, ValueError) as error:
-            raise InputError(f"{run.path}: policy {other.name}: {error}") from error
         if out:
             print(f"{out}: {other.name} in the world of {run.path}")
         if log_digest(target) == log_digest(run.path):
@@ -131,17 +117,13 @@ def _show(comparison: Comparison) -> None:
     names = comparison.baseline, comparison.other
     first, second = (max(14, len(name) + 2) for name in names)
     print(f"{'':<22}{names[0]:>{first}}{names[1]:>{second}}{'difference':>14}  interval")
-    for name, unit, baseline, other, (mean, low, high) in (
-        (m.name, m.unit, m.baseline, m.other, m.difference) for m in comparison.measures
-    ):
+    for m in comparison.measures:
+        mean, low, high = m.difference
         print(
-            f"{name:<22}{baseline:>{first}.6g}{other:>{second}.6g}{mean:>+14.4g}  "
-            f"[{low:.4g}, {high:.4g}] {unit}".rstrip()
+            f"{m.name:<22}{m.baseline:>{first}.6g}{m.other:>{second}.6g}{mean:>+14.4g}  "
+            f"[{low:.4g}, {high:.4g}] {m.unit}".rstrip()
         )
     if not comparison.partings:
         print("the logs say the same, bit for bit")
-    for parting in comparison.partings:
-        print(
-            f"{parting.topic} parts in slot {parting.first_slot} "
-            f"and differs in {parting.num_slots} slots"
-        )
+    for p in comparison.partings:
+        print(f"{p.topic} parts in slot {p.first_slot} and differs in {p.num_slots} slots")

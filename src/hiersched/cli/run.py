@@ -10,11 +10,13 @@ import shlex
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hiersched.core.extras import MissingExtraError
+from hiersched.core.faults import InputError
 
 if TYPE_CHECKING:
     from hiersched.scenario import Scenario
@@ -38,37 +40,22 @@ def add_commands(commands: Any) -> None:
     run = commands.add_parser("run", help=text, description=text)
     run.add_argument("scenario", metavar="SCENARIO", help="path, or the name of a shipped scenario")
     what = run.add_mutually_exclusive_group(required=True)
-    what.add_argument(
-        "--cores", type=int, metavar="N", help="run the whole study, N jobs at once (Snakemake)"
-    )
-    what.add_argument(
-        "--policy",
-        metavar="NAME",
-        help="run this scheduler, or one of the scenario's own policies, in one world",
-    )
-    run.add_argument(
-        "--seconds", type=float, metavar="S", help="of the world, behind the warm-up of evaluate"
-    )
-    run.add_argument(
-        "--seed", type=int, metavar="N", help="of the world (the first of evaluate.seeds)"
-    )
-    run.add_argument(
-        "--out",
-        metavar="FILE",
-        help="log of the world (results/<scenario>/worlds/<policy>_seed<N>.mcap)",
-    )
-    run.add_argument(
-        "--snakemake",
-        type=shlex.split,
-        metavar="WORDS",
-        help="more for Snakemake, such as --snakemake='-n --quiet rules': what would run",
-    )
+    text = "run the whole study, N jobs at once (Snakemake)"
+    what.add_argument("--cores", type=int, metavar="N", help=text)
+    text = "run this scheduler, or one of the scenario's own policies, in one world"
+    what.add_argument("--policy", metavar="NAME", help=text)
+    words = "more for Snakemake, such as --snakemake='-n --quiet rules': what would run"
+    for name, kind, metavar, text in (
+        ("seconds", float, "S", "of the world, behind the warm-up of evaluate"),
+        ("seed", int, "N", "of the world (the first of evaluate.seeds)"),
+        ("out", str, "FILE", "log of the world (results/<scenario>/worlds/<policy>_seed<N>.mcap)"),
+        ("snakemake", shlex.split, "WORDS", words),
+    ):
+        run.add_argument(f"--{name}", type=kind, metavar=metavar, help=text)
     run.set_defaults(command=_run)
 
 
 def _new(parsed: argparse.Namespace) -> int:
-    from hiersched.core.faults import InputError
-
     folder = Path(parsed.folder)
     if folder.is_dir() and any(folder.iterdir()):
         raise InputError(f"{folder}: not empty; nothing is overwritten")
@@ -79,8 +66,6 @@ def _new(parsed: argparse.Namespace) -> int:
 
 
 def _run(parsed: argparse.Namespace) -> int:
-    from hiersched.core.faults import InputError
-
     is_study = parsed.policy is None
     for name in ("seconds", "seed", "out") if is_study else ("snakemake",):
         if getattr(parsed, name) is not None:
@@ -100,7 +85,6 @@ def _study(parsed: argparse.Namespace) -> int:
 
 
 def _world(parsed: argparse.Namespace) -> int:
-    from hiersched.core.faults import InputError
     from hiersched.scenario import load_scenario
     from hiersched.study.metrics import run_metrics
 
@@ -130,27 +114,21 @@ def _world(parsed: argparse.Namespace) -> int:
 
 def _log_world(path: Path, scenario: Scenario, policy: str, seed: int, seconds: float) -> None:
     """Run a policy in one world of the evaluation, and log it in full."""
-    import numpy as np
-
-    from hiersched.core.randomness import world_key
-    from hiersched.experiments.logging import RunLabel, log_block, open_log
-    from hiersched.policies.find import find_policy
-    from hiersched.simulator import Simulator
+    from hiersched.experiments.logging import RunLabel, write_log
+    from hiersched.experiments.worlds import run_worlds, untrained_policies
     from hiersched.simulator.gain_source import scenario_schedule
     from hiersched.simulator.loop_gains import loop_gains
 
-    runnable = find_policy(scenario, policy)
+    policies = untrained_policies(scenario, policy)
     slot_s = scenario.radio.slot_s
     warmup_slots = round(scenario.evaluate.warmup_s / slot_s)
     num_slots = warmup_slots + round(seconds / slot_s)
     schedule = scenario_schedule(scenario)
     gains = loop_gains(schedule, scenario.control.gain)
-    keys = np.array([world_key("evaluate", seed)], np.uint64)
-    record = Simulator(scenario, gains, keys, num_slots).run(runnable)
+    (run,) = run_worlds(scenario, gains, policies, "evaluate", [seed], num_slots)
+    run = replace(run, metadata={"warmup_slots": str(warmup_slots)})
     label = RunLabel(stage="evaluate", policy=policy, seed=seed)
-    metadata = {"warmup_slots": str(warmup_slots)}
-    with open_log(path, scenario, schedule, label, profile="full", metadata=metadata) as writer:
-        log_block(writer, scenario, schedule, record.environment(0))
+    write_log(path, scenario, schedule, label, run, profile="full")
 
 
 def _table(measures: RunMetrics) -> list[str]:

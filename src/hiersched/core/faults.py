@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import IO
 
 
 class InputError(Exception):
     """A file or a value that a user gave is at fault: the message says what and what is allowed."""
+
+
+@contextmanager
+def blaming_input(
+    kinds: type[Exception] | tuple[type[Exception], ...] = ValueError, prefix: str = ""
+) -> Iterator[None]:
+    """Turn errors of these kinds into an `InputError`."""
+    try:
+        yield
+    except kinds as error:
+        raise InputError(f"{prefix}{error}") from error
 
 
 def printable(text: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from hiersched.core.randomness import world_key
 from hiersched.scenario.schema import Learning, Scenario
 from hiersched.simulator import Gains, Simulator, SlotRecord
 from hiersched.simulator.gain_source import scenario_gains
@@ -17,14 +18,9 @@ def action_weights(actions: NDArray[np.floating], weight_exponent: float) -> NDA
 
 
 def task_costs(record: SlotRecord, learning: Learning) -> NDArray[np.float64]:
-    """Price of each robot's tracking error, on the scale of the rewards, shape (E, R).
+    """Price of each robot's tracking error in one slot, on the scale of the rewards, shape (E, R).
 
-    Parameters
-    ----------
-    record
-        Record of one slot, leading axes (E, 1).
-    learning
-        Price a centimetre and reward scale.
+    The leading axes of `record` are (E, 1).
     """
     price: float = learning.task_weight * 100.0 / learning.reward_scale
     cost: NDArray[np.float64] = price * record.tracking_error_m[:, 0]
@@ -36,17 +32,8 @@ def agent_views(
 ) -> tuple[NDArray[np.floating], NDArray[np.floating]]:
     """Give each agent its users' features, their slice's mean and the other slice's mean.
 
-    Parameters
-    ----------
-    features
-        Shape (..., U, F), URLLC users first.
-    num_urllc
-        How many of them are URLLC users.
-
-    Returns
-    -------
-    urllc, embb
-        Shapes (..., n, 3 F) with the users n of the slice.
+    `features` have shape (..., U, F), URLLC users first; the views of the agents `urllc` and `embb`
+    have (..., n, 3 F) with the users n of the slice.
     """
     parts = features[..., :num_urllc, :], features[..., num_urllc:, :]
     means = [part.mean(axis=-2, keepdims=True) for part in parts]
@@ -55,6 +42,28 @@ def agent_views(
         for part, order in zip(parts, ((0, 1), (1, 0)), strict=True)
     )
     return urllc, embb
+
+
+class EpisodeWorlds:
+    """Worlds 0, 1, 2, … of a seed, `count` of them side by side in an episode."""
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+        self._seed = 0
+        self._next = 0
+
+    def coming(self) -> NDArray[np.uint64]:
+        """Keys of the next episode's worlds, shape (count,)."""
+        indices = range(self._next, self._next + self._count)
+        return np.array([world_key("env", self._seed, index) for index in indices], np.uint64)
+
+    def take(self, seed: int | None = None) -> NDArray[np.uint64]:
+        """Give the next episode's keys and go on; with a seed, begin with its first worlds."""
+        if seed is not None:
+            self._seed, self._next = seed, 0
+        keys = self.coming()
+        self._next += self._count
+        return keys
 
 
 class SlotLoop:
@@ -115,10 +124,7 @@ class SlotLoop:
     def step(self, actions: NDArray[np.floating]) -> NDArray[np.float32]:
         """Run one slot under actions (E, U), to be found in `record`; returns the next features.
 
-        Raises
-        ------
-        ValueError
-            If an action is outside [-1, 1] or not a number.
+        ValueError if an action is outside [-1, 1] or not a number.
         """
         # One comparison that is false for NaN too.
         if not (np.abs(actions) <= 1.0).all():

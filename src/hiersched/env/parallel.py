@@ -9,9 +9,8 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from hiersched.env.core import SlotLoop, agent_views
+from hiersched.env.core import EpisodeWorlds, SlotLoop, agent_views
 from hiersched.env.vector import slot_info
-from hiersched.env.worlds import EpisodeWorlds
 from hiersched.policies.features import num_features
 from hiersched.scenario.schema import Scenario
 from hiersched.simulator import Gains
@@ -24,16 +23,7 @@ class SlicingParallelEnv(ParallelEnv):
 
     Observation of an agent (n, 3 F): its users' features, the slice's mean and the other slice's
     mean. Reward: that of the own slice, or the mean of both where the scenario says `reward:
-    cooperative`.
-
-    Parameters
-    ----------
-    scenario
-        The validated scenario.
-    gains
-        Gains of the robots; `scenario_gains` unless given.
-    num_slots
-        Slots of an episode; those of the scenario's training unless given.
+    cooperative`. The parameters are those of `SlotLoop`.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (as the base class has it)
@@ -49,15 +39,14 @@ class SlicingParallelEnv(ParallelEnv):
         self._scenario = scenario
         self._num_urllc = scenario.users.num_urllc
         self._cooperative = scenario.learning.reward == "cooperative"
-        counts = (scenario.users.num_urllc, scenario.users.num_embb)
+        counts = {"urllc": scenario.users.num_urllc, "embb": scenario.users.num_embb}
         width = 3 * num_features(scenario.learning.observe_robots)
         self._observation_spaces = {
             agent: spaces.Box(-np.inf, np.inf, (count, width), np.float32)
-            for agent, count in zip(AGENTS, counts, strict=True)
+            for agent, count in counts.items()
         }
         self._action_spaces = {
-            agent: spaces.Box(-1.0, 1.0, (count,), np.float32)
-            for agent, count in zip(AGENTS, counts, strict=True)
+            agent: spaces.Box(-1.0, 1.0, (count,), np.float32) for agent, count in counts.items()
         }
         self._worlds = EpisodeWorlds(1)
         self._loop = SlotLoop(scenario, gains, self._worlds.coming(), num_slots)
@@ -95,8 +84,7 @@ class SlicingParallelEnv(ParallelEnv):
         info = {name: v[0] for name, v in slot_info(self._loop.record, self._scenario).items()}
         rewards = {agent: float(info[f"reward_{agent}"]) for agent in AGENTS}
         if self._cooperative:
-            mean = 0.5 * sum(rewards.values())
-            rewards = dict.fromkeys(AGENTS, mean)
+            rewards = dict.fromkeys(AGENTS, 0.5 * sum(rewards.values()))
         finished = self._loop.finished
         if finished:
             self.agents = []

@@ -8,9 +8,8 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.env.core import SlotLoop
+from hiersched.env.core import EpisodeWorlds, SlotLoop
 from hiersched.env.vector import slot_info, user_spaces
-from hiersched.env.worlds import EpisodeWorlds
 from hiersched.scenario.schema import Scenario
 from hiersched.simulator import Gains
 
@@ -18,19 +17,10 @@ from hiersched.simulator import Gains
 class SlicingEnv(gymnasium.Env):
     """One world; spaces, reward and info are those of one row of `SlicingVectorEnv`.
 
-    Parameters
-    ----------
-    scenario
-        The validated scenario.
-    gains
-        Gains of the robots; `scenario_gains` unless given.
-    num_slots
-        Slots of an episode; those of the scenario's training unless given.
+    The parameters are those of `SlotLoop`.
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012 (as the base class has it)
-        "render_modes": []
-    }
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (as the base class has it)
 
     def __init__(
         self, scenario: Scenario, gains: Gains | None = None, *, num_slots: int | None = None

@@ -10,8 +10,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from hiersched.env.core import SlotLoop, task_costs
-from hiersched.env.worlds import EpisodeWorlds
+from hiersched.env.core import EpisodeWorlds, SlotLoop, task_costs
 from hiersched.policies.features import num_features
 from hiersched.scenario.schema import Scenario
 from hiersched.simulator import Gains, SlotRecord
@@ -46,18 +45,7 @@ class SlicingVectorEnv(VectorEnv):
     user, the weight is exp(c a). Reward: mean of both slices' rewards; the parts and the cost are
     in the info. An episode ends at the slot limit only, which is truncation; all worlds end
     together and start anew in the same step (SAME_STEP), with the last observation in
-    ``info["final_obs"]``.
-
-    Parameters
-    ----------
-    scenario
-        The validated scenario.
-    gains
-        Gains of the robots; `scenario_gains` unless given.
-    num_envs
-        E.
-    num_slots
-        Slots of an episode; those of the scenario's training unless given.
+    ``info["final_obs"]``. The parameters are those of `SlotLoop`, and E is `num_envs`.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (as the base class has it)

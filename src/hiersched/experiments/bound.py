@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from hiersched.allocation.exact import exact_allocation, lagrangian, owned_rates
 from hiersched.allocation.objective import UserTerms, slot_terms
+from hiersched.core.files import csv_text, write_bytes
 from hiersched.experiments import files
 from hiersched.experiments.gains import load_gains
 from hiersched.experiments.logged import read_slots
@@ -28,14 +28,8 @@ TIME_LIMIT_S = 20.0
 """Of one programme; the bound holds where it runs out."""
 
 _SEEN = (
-    "fading_power",
-    "backlog_packets",
-    "average_rate_mbps",
-    "hol_delay_s",
-    "multiplier",
-    "dexterity_index",
-    "prb_owner",
-    "rate_mbps",
+    *("fading_power", "backlog_packets", "average_rate_mbps", "hol_delay_s"),
+    *("multiplier", "dexterity_index", "prb_owner", "rate_mbps"),
 )
 """What a scheduler sees of a slot, and what it decided."""
 
@@ -63,20 +57,9 @@ def compute_bound(scenario: Scenario, results: Path, output: Path) -> None:
 
     Columns: policy (whose states they are), seed, slot, decider, value, exact, bound, and of the
     assignment of first PRBs alone the costs exact and greedy, by Lagrangian and by log rate.
+    `results` is the folder of the study, with its evaluation logs; `output` is a CSV file.
 
-    Parameters
-    ----------
-    scenario
-        Sections `bound` and `evaluate` decide.
-    results
-        Folder of the study, with its evaluation logs.
-    output
-        CSV to write.
-
-    Raises
-    ------
-    LogError
-        If a log is damaged, or its rates do not follow from channel and allocation.
+    LogError if a log is damaged, or its rates do not follow from channel and allocation.
     """
     _, gains = load_gains(results / files.gain_file("schedule"), scenario)
     evaluation = experiments(scenario)["evaluate"]
@@ -90,32 +73,14 @@ def compute_bound(scenario: Scenario, results: Path, output: Path) -> None:
             for moment in read_moments(path, world, scenario.bound.slots_per_log):
                 rows += _rows(moment, world, {"policy": policy, "seed": seed})
         print(f"bound {policy}: {scenario.bound.slots_per_log} slots a world", flush=True)
-    output.parent.mkdir(parents=True, exist_ok=True)
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    part = output.with_name(output.name + ".part")
-    part.write_text(text.getvalue(), encoding="utf-8")
-    part.replace(output)
+    write_bytes(output, csv_text(pd.DataFrame(rows)).encode())
 
 
 def read_moments(path: Path, world: Simulator, count: int) -> Iterator[Moment]:
-    """Read evenly spaced slots behind the warm-up.
+    """Read `count` evenly spaced slots of a log, behind the warm-up.
 
-    Parameters
-    ----------
-    path
-        A log.
-    world
-        Of the log's world, alone; stands in each moment as the scheduler met it.
-    count
-        How many slots.
-
-    Raises
-    ------
-    LogError
-        If the log is damaged, or its rates do not follow from channel and allocation.
+    `world` is of the log's world alone, and stands in each moment as the scheduler met it. LogError
+    if the log is damaged, or its rates do not follow from channel and allocation.
     """
     run = read_slots(path, _SEEN)
     fields, warmup = run.fields, run.warmup_slots
@@ -149,10 +114,7 @@ def _stand(world: Simulator, fields: Mapping[str, NDArray[Any]], slot: int) -> N
 def greedy_assignment(cost: NDArray[np.float64]) -> float:
     """Return the total cost of giving every user one PRB, the cheapest pair first.
 
-    Parameters
-    ----------
-    cost
-        Of each user with each PRB alone, shape (U, K).
+    `cost` is that of each user with each PRB alone, shape (U, K).
     """
     left = cost.copy()
     total = 0.0
@@ -174,20 +136,17 @@ def _rows(moment: Moment, world: Simulator, labels: dict[str, Any]) -> Iterator[
             multipliers = terms.multiplier[: world.constants.num_urllc]
             deciders[name] = world.decide(world.rule(name), multipliers)[0]
     for decider, owner in deciders.items():
+        rates = owned_rates(moment.rate_mbps, owner)
+        value = float(lagrangian(terms, np.arange(len(rates)), rates)[0].sum())
         yield {
             **labels,
             "slot": moment.slot,
             "decider": decider,
-            "value": _value(moment.rate_mbps, terms, owner),
+            "value": value,
             "exact": best.value,
             "bound": best.bound,
             **_assignment(moment),
         }
-
-
-def _value(rate_mbps: NDArray[np.float32], terms: UserTerms, owner: NDArray[np.uint32]) -> float:
-    rates = owned_rates(rate_mbps, owner)
-    return float(lagrangian(terms, np.arange(len(rates)), rates)[0].sum())
 
 
 def _assignment(moment: Moment) -> dict[str, float]:

@@ -86,17 +86,14 @@ def plugin_hashes(scenario: Scenario) -> dict[str, str]:
         if str(module.__file__) not in shown
     }
     found = {name: sources_sha256(module) for name, module in modules.items()}
-    models = [model_at(scenario, key) for key in SECTIONS]
-    rules = [
-        policy for policy in scenario.policies.values() if not isinstance(policy, ImportedPolicy)
-    ]
     learners = [ALGORITHMS.loaded(learning.algorithm) for learning in scenario.learned.values()]
-    kinds = (*map(type, models), *map(type, rules), *learners)
+    kinds = [*(type(model_at(scenario, key)) for key in SECTIONS), *learners]
     names = [getattr(kind, "__module__", "") for kind in kinds]
     names += [
         policy.source.partition(":")[0]
-        for policy in scenario.policies.values()
         if isinstance(policy, ImportedPolicy)
+        else type(policy).__module__
+        for policy in scenario.policies.values()
     ]
     for module in map(sys.modules.get, names):
         if module is not None and module not in modules.values():
@@ -104,11 +101,13 @@ def plugin_hashes(scenario: Scenario) -> dict[str, str]:
     return found
 
 
+def _is_ours(module: ModuleType) -> bool:
+    return module.__name__.partition(".")[0] == __name__.partition(".")[0]
+
+
 def _outside_hash(module: ModuleType) -> dict[str, str]:
     """Return the hash of a module that is not ours, by its name: one of an installed package."""
-    if module.__name__.partition(".")[0] == __name__.partition(".")[0]:
-        return {}
-    return {module.__name__: sources_sha256(module)}
+    return {} if _is_ours(module) else {module.__name__: sources_sha256(module)}
 
 
 def sources_sha256(module: ModuleType) -> str:
@@ -129,8 +128,7 @@ def neighbours_sha256(thing: Shown) -> str:
     What of its own file it depends on, `code_fingerprint` says.
     """
     module = sys.modules[thing.module]
-    own = module.__name__.partition(".")[0] == __name__.partition(".")[0]
-    return _sha256_of(set() if own else {*outside_files(module)} - {str(thing.file)})
+    return _sha256_of(set() if _is_ours(module) else {*outside_files(module)} - {str(thing.file)})
 
 
 def stage_spec(stage: str, values: Any, script: Path, *, only: str = "") -> str:
@@ -192,10 +190,8 @@ def run_values(scenario: Scenario, experiment: Experiment, group: str) -> dict[s
 
 def measure_values(scenario: Scenario, group: str) -> dict[str, Any]:
     """Pick what the measures of a group depend on, besides the logs: what is in which of them."""
-    values = picked(
-        scenario,
-        ("name", "plugins", "users", "radio", "traffic", "objective.penalty_weight", "robot"),
-    )
+    read = ("name", "plugins", "users", "radio", "traffic", "objective.penalty_weight", "robot")
+    values = picked(scenario, read)
     for experiment in experiments(scenario).values():
         if group in groups(scenario, experiment):
             values[experiment.name] = run_values(scenario, experiment, group)

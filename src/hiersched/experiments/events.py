@@ -56,25 +56,21 @@ def _late_users(scenario: Scenario, fields: Mapping[str, NDArray[Any]]) -> Itera
     # A wait is a multiple of the slot up to rounding: the deadline itself is not yet late.
     for user, start, stop in stretches(wait_s > deadline_s * (1.0 + 1e-9)):
         most = 1e3 * wait_s[start:stop, user].max()
-        yield Event(
-            start,
-            "WARNING",
-            "queue",
+        text = (
             f"user {user}: head-of-line delay past {1e3 * deadline_s[user]:g} ms "
-            f"for {stop - start} slots, up to {most:.6g} ms",
+            f"for {stop - start} slots, up to {most:.6g} ms"
         )
+        yield Event(start, "WARNING", "queue", text)
 
 
 def _capped_delays(scenario: Scenario, fields: Mapping[str, NDArray[Any]]) -> Iterator[Event]:
     for robot, start, stop in stretches(fields["delay_capped"] > 0):
-        yield Event(
-            start,
-            "WARNING",
-            "delay",
+        text = (
             f"robot {robot}: measurements up to {fields['delay_steps'][start:stop, robot].max()} "
             f"samples old for {stop - start} slots: beyond the {scenario.max_delay_steps} samples "
-            "that gains are designed for",
+            "that gains are designed for"
         )
+        yield Event(start, "WARNING", "delay", text)
 
 
 def _unproven_gains(
@@ -85,13 +81,11 @@ def _unproven_gains(
         if kind == "uncertified" and scenario.control.gain == "nominal":
             continue  # that gain is not in force
         for robot, start, stop in stretches((status == kind)[steps]):
-            yield Event(
-                start,
-                "WARNING",
-                "gain",
+            text = (
                 f"robot {robot}: no certified gain for T = {steps[start, robot]}, {what} in force "
-                f"for {stop - start} slots",
+                f"for {stop - start} slots"
             )
+            yield Event(start, "WARNING", "gain", text)
 
 
 def entries_in_force(scenario: Scenario, delay_steps: NDArray[np.uint32]) -> NDArray[np.int64]:
@@ -113,10 +107,6 @@ def entries_in_force(scenario: Scenario, delay_steps: NDArray[np.uint32]) -> NDA
 def _saturated_controls(fields: Mapping[str, NDArray[Any]]) -> Iterator[Event]:
     count = fields["control_saturated"]
     for robot, start, stop in stretches(count > 0):
-        yield Event(
-            start,
-            "INFO",
-            "control",
-            f"robot {robot}: {count[start:stop, robot].sum()} saturated commands "
-            f"in {stop - start} slots",
-        )
+        commands = count[start:stop, robot].sum()
+        text = f"robot {robot}: {commands} saturated commands in {stop - start} slots"
+        yield Event(start, "INFO", "control", text)

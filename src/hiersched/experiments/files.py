@@ -82,16 +82,10 @@ def group_logs(experiment: Experiment, policies: tuple[str, ...]) -> list[str]:
 def group_files(scenario: Scenario, experiment: Experiment, group: str) -> list[str]:
     """List all files that a group of policies writes in an experiment."""
     policies = groups(scenario, experiment)[group]
-    return [
-        *group_logs(experiment, policies),
-        *(
-            full_log(experiment, point, policy, seed)
-            for point, policy in experiment.runs(policies)
-            for seed in experiment.seeds[: experiment.full_logs]
-        ),
-        *(
-            crossed_file(experiment, point, policy)
-            for point, policy in experiment.runs(policies)
-            if is_crossed(scenario, policy)
-        ),
-    ]
+    names = group_logs(experiment, policies)
+    for point, policy in experiment.runs(policies):
+        full = experiment.seeds[: experiment.full_logs]
+        names += [full_log(experiment, point, policy, seed) for seed in full]
+        if is_crossed(scenario, policy):
+            names.append(crossed_file(experiment, point, policy))
+    return names

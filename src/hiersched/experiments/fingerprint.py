@@ -20,22 +20,11 @@ KERNEL_MODULE = PACKAGE_FOLDER / "simulator" / "simulator.py"
 
 @cache
 def code_fingerprint(script: Path, package_folder: Path = PACKAGE_FOLDER, *, only: str = "") -> str:
-    """SHA-256 of the code that a script can reach.
+    """SHA-256, hexadecimal, of the code that a Python file can reach.
 
-    Parameters
-    ----------
-    script
-        A Python file.
-    package_folder
-        Folder of the package `hiersched`.
-    only
-        Name of a registered function of the file, which stands for it. Others that are registered
-        (``@figure``, ``@table``, ``@claim``), there or elsewhere, count where it reaches them.
-
-    Returns
-    -------
-    str
-        64 hexadecimal digits.
+    With `only`, the name of a registered function of the file, that function stands for it. Others
+    that are registered (``@figure``, ``@table``, ``@claim``), there or elsewhere, count where it
+    reaches them.
     """
     modules = reachable_modules(script, package_folder)
     digest = hashlib.sha256(_statements(script, frozenset({only or ALL})).encode())
@@ -59,7 +48,9 @@ def reachable_modules(script: Path, package_folder: Path = PACKAGE_FOLDER) -> di
     while waiting:
         path, name = waiting.pop()
         for candidate in _imports(path, name):
-            for module in _with_parents(candidate):
+            parts = candidate.split(".")
+            for end in range(1, len(parts) + 1):  # importing a module runs its parents first
+                module = ".".join(parts[:end])
                 file = _module_file(module, package_folder)
                 if file is not None and module not in found:
                     found[module] = file
@@ -75,7 +66,11 @@ def _imports(path: Path, name: str) -> tuple[str, ...]:
     """
     package = name if path.name == "__init__.py" else name.rpartition(".")[0]
     tree = ast.parse(path.read_text(encoding="utf-8"), filename=str(path))
-    tree.body = [node for node in tree.body if not _is_for_types(node)]
+    tree.body = [
+        node
+        for node in tree.body
+        if not (isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING")
+    ]
     names = []
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
@@ -88,16 +83,6 @@ def _imports(path: Path, name: str) -> tuple[str, ...]:
                 module = f"{base}.{module}".rstrip(".")
             names += [f"{module}.{alias.name}" for alias in node.names]
     return tuple(name for name in names if name.split(".")[0] == PACKAGE)
-
-
-def _is_for_types(node: ast.stmt) -> bool:
-    return isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
-
-
-def _with_parents(name: str) -> list[str]:
-    """``a.b.c`` -> ``a``, ``a.b``, ``a.b.c``: importing a module runs its parents first."""
-    parts = name.split(".")
-    return [".".join(parts[:end]) for end in range(1, len(parts) + 1)]
 
 
 @cache

@@ -32,16 +32,12 @@ def designs(scenario: Scenario) -> dict[str, Scenario]:
 
 
 def _difference(own: dict[str, Any], values: str) -> str:
-    other = json.loads(values)
-    parts = [
+    text = "_".join(
         f"{key.rpartition('.')[2]}_{value_text(value)}"
-        for key, value in other.items()
+        for key, value in json.loads(values).items()
         if own.get(key) != value
-    ]
-    text = "_".join(parts)
-    if len(text) <= 60:
-        return text
-    return hashlib.sha256(values.encode()).hexdigest()[:12]
+    )
+    return text if len(text) <= 60 else hashlib.sha256(values.encode()).hexdigest()[:12]
 
 
 def design_of(scenario: Scenario, variant: Scenario) -> str:
@@ -58,34 +54,21 @@ def experiment_designs(scenario: Scenario, experiment: Experiment) -> list[str]:
 def design_gains(scenario: Scenario, design: str, path: Path) -> GainSchedule:
     """Design one of the schedules of `designs`; a file that holds it already is kept.
 
-    Raises
-    ------
-    ValueError
-        If the study has no such design.
+    ValueError if the study has no such design.
     """
     known = designs(scenario)
     if design not in known:
         raise ValueError(f"design = {design!r}: must be one of {', '.join(known)}")
-    variant = known[design]
-    control = variant.control
+    own, control = known[design], known[design].control
     path.parent.mkdir(parents=True, exist_ok=True)
-    return load_or_build(
-        path,
-        plant_of(variant),
-        variant.max_delay_steps,
-        control.method,
-        decay_rate=control.decay_rate,
-        key=scenario_key(variant),
-    )
+    steps, rate, key = own.max_delay_steps, control.decay_rate, scenario_key(own)
+    return load_or_build(path, plant_of(own), steps, control.method, decay_rate=rate, key=key)
 
 
 def load_gains(path: Path, scenario: Scenario) -> tuple[GainSchedule, Gains]:
     """Read the schedule of a scenario and form the gains of its loop.
 
-    Raises
-    ------
-    ValueError
-        If the file is damaged or holds other gains.
+    GainsError if the file is damaged or holds other gains.
     """
     schedule = read_gains(path, scenario)
     return schedule, loop_gains(schedule, scenario.control.gain)

@@ -15,19 +15,9 @@ from hiersched.scenario import Scenario, load_scenario
 
 
 def job(description: str | None, *options: str) -> tuple[Scenario, Path, Any]:
-    """Read the command line of a job.
+    """Read the command line of a job, whose script takes `options` and what every one does.
 
-    Parameters
-    ----------
-    description
-        Docstring of the script.
-    options
-        What it takes besides ``--scenario`` and ``--results``.
-
-    Returns
-    -------
-    tuple
-        The scenario, the folder of its results, and the values of the options as attributes.
+    Returns the scenario, the folder of its results, and the values of the options as attributes.
     """
     parser = argparse.ArgumentParser(description=description)
     for name in ("scenario", "results", *options):

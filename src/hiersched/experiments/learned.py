@@ -12,13 +12,7 @@ from hiersched.scenario import Scenario
 
 
 def learned_policies(files: Sequence[Path]) -> PolicySource:
-    """Return a source of policies: whatever the name, those of these files.
-
-    Parameters
-    ----------
-    files
-        Weights of the policies, in the order of the training seeds.
-    """
+    """Return a source of policies: whatever the name, those of these files of weights, in order."""
 
     @cache
     def load(path: Path) -> tuple[TrainedPolicy, bytes]:

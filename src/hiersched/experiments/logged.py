@@ -29,16 +29,13 @@ BATCH_SLOTS = 8192  # what is computed at once: memory for a few dozen megabytes
 
 @dataclass(frozen=True)
 class Batch:
-    """Slots that are computed at once: `num_slots` each of `num_envs` episodes.
+    """Slots that are computed at once: `num_slots` each of `num_envs` episodes."""
 
-    `first_slot` and `first_env` are the first ones in the log; `begins`: they begin their episodes.
-    """
-
-    first_slot: int
+    first_slot: int  # in the log
     first_env: int
     num_envs: int
     num_slots: int
-    begins: bool
+    begins: bool  # whether they begin their episodes
 
     @property
     def stop_slot(self) -> int:
@@ -48,36 +45,19 @@ class Batch:
 
 @dataclass(frozen=True, kw_only=True)
 class LoggedRun:
-    """A run, as its log describes it.
-
-    Attributes
-    ----------
-    unknown_fields
-        Those of `LogReader`, which cannot be computed.
-    scenario, schedule, gains
-        What the run was of: from the attachments.
-    added_keys
-        Keys that the attached scenario lacks, since an older version wrote it: they have today's
-        defaults.
-    keys
-        World of each episode, shape (N,); but for training and its checkpoints N is 1.
-    episode_slots
-        Slots of an episode; the last one can be shorter.
-    num_slots
-        Slots in the log.
-    """
+    """A run, as its log describes it."""
 
     path: Path
     metadata: dict[str, str]
     attachments: dict[str, bytes]
-    unknown_fields: tuple[str, ...]
-    scenario: Scenario
+    unknown_fields: tuple[str, ...]  # those of `LogReader`, which cannot be computed
+    scenario: Scenario  # what the run was of: from the attachments
     schedule: GainSchedule
     gains: Gains
-    added_keys: tuple[str, ...]
-    keys: NDArray[np.uint64]
-    episode_slots: int
-    num_slots: int
+    added_keys: tuple[str, ...]  # that the scenario of an older version lacks: today's defaults
+    keys: NDArray[np.uint64]  # world of each episode, (N,); but for training and checkpoints N = 1
+    episode_slots: int  # of an episode; the last one can be shorter
+    num_slots: int  # in the log
 
     @property
     def stage(self) -> str:
@@ -118,10 +98,7 @@ class LoggedRun:
 def load_run(path: str | os.PathLike[str]) -> LoggedRun:
     """Read what a log of one of the stages says about its run; the log is checked whole.
 
-    Raises
-    ------
-    LogError
-        If the log is damaged, or does not say all that it takes to run it again.
+    LogError if the log is damaged, or does not say all that it takes to run it again.
     """
     with LogReader(path) as log:
         metadata, attachments = log.metadata, log.attachments
@@ -176,15 +153,13 @@ def _worlds(metadata: dict[str, str], num_slots: int) -> tuple[NDArray[np.uint64
     return np.resize(fixed, episodes), episode_slots
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=8)  # logs in a row carry the same ones
 def _scenario(text: bytes) -> tuple[Scenario, tuple[str, ...], str]:
-    """Read a scenario; logs in a row carry the same one."""
     return load_resolved(text.decode(), Path("scenario.yaml"))
 
 
 @lru_cache(maxsize=8)
 def _schedule(text: bytes, scenario: Scenario) -> GainSchedule:
-    """Read and check a schedule; logs in a row carry the same one."""
     schedule = GainSchedule.from_json(text.decode(), vouched=True)
     check_gains(schedule, scenario)
     return schedule
@@ -192,17 +167,13 @@ def _schedule(text: bytes, scenario: Scenario) -> GainSchedule:
 
 @dataclass(frozen=True, kw_only=True)
 class RunSlots:
-    """Fields of every slot of a run: name -> values, leading axis (T,).
+    """Fields of every slot of a run: name -> values, leading axis (T,)."""
 
-    `source` is the log, or the name of a run that has none. URLLC users are the first `num_urllc`;
-    measures leave out the first `warmup_slots` slots, of `slot_s` [s] each.
-    """
-
-    source: str | os.PathLike[str]
+    source: str | os.PathLike[str]  # the log, or the name of a run that has none
     metadata: dict[str, str]
-    num_urllc: int
-    slot_s: float
-    warmup_slots: int
+    num_urllc: int  # the first users are URLLC users
+    slot_s: float  # length of a slot [s]
+    warmup_slots: int  # the first slots, which measures leave out
     fields: dict[str, NDArray[Any]]
 
     def measured(self, name: str) -> NDArray[Any]:
@@ -220,12 +191,8 @@ def read_slots(path: str | os.PathLike[str], names: Sequence[str]) -> RunSlots:
     What the log has is read. What it lacks is computed from its decisions, and whatever else the
     log has, of what this version knows, must come out of them to the last bit.
 
-    Raises
-    ------
-    LogError
-        If the log is damaged, or is not what the simulator computes from its decisions.
-    ValueError
-        On a field that is not in the table.
+    LogError if the log is damaged, or is not what the simulator computes from its decisions.
+    ValueError On a field that is not in the table.
     """
     if unknown := [name for name in names if name not in TOPIC_OF]:
         raise ValueError(f"names: {', '.join(unknown)}: no field of a log")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,10 @@ class RunLabel:
     axis: str = ""
     value: str = ""
 
+    def metadata(self) -> dict[str, str]:
+        """Return what a log says of it."""
+        return {name: str(value) for name, value in vars(self).items()}
+
 
 def open_log(
     path: Path,
@@ -45,27 +49,15 @@ def open_log(
 ) -> LogWriter:
     """Open the log of one run; its folder is created.
 
-    Parameters
-    ----------
-    scenario
-        The scenario that is run (that of a sweep: with the swept value in place).
-    schedule
-        Gain schedule in force.
-    label
-        Goes into the metadata.
-    metadata, attachments
-        Further ones, such as the weights of a policy.
+    `scenario` has swept values in place. `label` goes into the metadata; further `metadata` and
+    `attachments` are such as the weights of a policy.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    attached = _attached(scenario, schedule)
+    sha256, files = _attached(scenario, schedule)
     text = {
         "scenario": scenario.name,
-        "scenario_sha256": attached.scenario_sha256,
-        "seed": str(label.seed),
-        "policy": label.policy,
-        "stage": label.stage,
-        "axis": label.axis,
-        "value": label.value,
+        "scenario_sha256": sha256,
+        **label.metadata(),
         "gain": scenario.control.gain,
         **(metadata or {}),
     }
@@ -76,37 +68,28 @@ def open_log(
         log_dims(scenario),
         profile,
         text,
-        {**attached.files, **(attachments or {})},
+        {**files, **(attachments or {})},
         slot_ns=round(scenario.radio.slot_s * 1e9),
         compression=scenario.log.compression,
         chunk_bytes=scenario.log.chunk_bytes,
     )
 
 
-class _Attached(NamedTuple):
-    """What every log of a scenario and a schedule carries."""
-
-    scenario: Scenario
-    schedule: GainSchedule
-    scenario_sha256: str
-    files: dict[str, bytes]
+_last_attached: list[tuple[Scenario, GainSchedule, str, dict[str, bytes]]] = []
 
 
-_last_attached: list[_Attached] = []
+def _attached(scenario: Scenario, schedule: GainSchedule) -> tuple[str, dict[str, bytes]]:
+    """Return the scenario's hash and the files of every log of a scenario and a schedule.
 
-
-def _attached(scenario: Scenario, schedule: GainSchedule) -> _Attached:
-    """Write scenario and schedule as text, once for logs in a row that share these very objects.
-
-    It takes longer than to simulate the 1400 slots of an evaluation and to log them.
+    They are written once for logs in a row that share these very objects: it takes longer than to
+    simulate the 1400 slots of an evaluation and to log them.
     """
-    if not any(a.scenario is scenario and a.schedule is schedule for a in _last_attached):
-        files = {
-            "scenario.yaml": scenario_to_yaml(scenario).encode(),
-            "schedule.json": schedule.to_json().encode(),
-        }
-        _last_attached[:] = [_Attached(scenario, schedule, scenario_sha256(scenario), files)]
-    return _last_attached[0]
+    if not any(own is scenario and gains is schedule for own, gains, *_ in _last_attached):
+        text, design = scenario_to_yaml(scenario), schedule.to_json()
+        files = {"scenario.yaml": text.encode(), "schedule.json": design.encode()}
+        _last_attached[:] = [(scenario, schedule, scenario_sha256(scenario), files)]
+    _, _, sha256, files = _last_attached[0]
+    return sha256, files
 
 
 def log_dims(scenario: Scenario) -> LogDims:

@@ -7,9 +7,9 @@ and the gain study are instances.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import product
 from math import prod
 from typing import Any, Literal, TypeAlias
@@ -18,13 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.core.randomness import STREAM_DELAY, draw_uniforms
-from hiersched.scenario import (
-    Scenario,
-    ScenarioError,
-    with_values,
-)
+from hiersched.scenario import Scenario, ScenarioError, with_values
 from hiersched.scenario.consistency import inconsistencies
-from hiersched.scenario.schema import GainMethod, Users, hold_of
+from hiersched.scenario.schema import GainMethod, Users, Worlds, hold_of
 
 Gain = Literal["nominal", "adjusted"]
 Cell: TypeAlias = tuple[int, int, int]
@@ -55,19 +51,11 @@ MAX_NAME = 120
 
 @dataclass(frozen=True, kw_only=True)
 class ForcedDelays:
-    """Network delays that are drawn instead of measured: uniform per slot and robot.
+    """Network delays that are drawn instead of measured: uniform per slot and robot."""
 
-    Attributes
-    ----------
-    windows
-        Windows of violated delay, 1 = the first.
-    violation_s, calm_s
-        Bounds of the delays in these windows, and elsewhere [s].
-    """
-
-    windows: tuple[int, ...]
-    violation_s: tuple[float, float]
-    calm_s: tuple[float, float]
+    windows: tuple[int, ...]  # of violated delay, 1 = the first
+    violation_s: tuple[float, float]  # bounds of the delays in these windows [s]
+    calm_s: tuple[float, float]  # and elsewhere [s]
 
     def draw(
         self, scenario: Scenario, keys: NDArray[np.uint64], num_slots: int
@@ -100,73 +88,39 @@ def logged_delays(scenario: Scenario, metadata: Mapping[str, str]) -> ForcedDela
     """
     if "delays" in metadata:
         return ForcedDelays.from_json(metadata["delays"])
-    study, axis, value = scenario.gain_study, metadata["axis"], metadata["value"]
-    bounds, windows = study.violation_delay_s, study.violation_windows
-    if axis:
-        windows = tuple(range(2, study.sweep_windows + 1))
+    axis = metadata["axis"]
     if axis == "grid":
-        bounds = (float(value.partition("_")[2]),) * 2
-    return ForcedDelays(windows=windows, violation_s=bounds, calm_s=study.calm_delay_s)
+        delay_s = float(metadata["value"].partition("_")[2])
+        return _delays(scenario, violation_s=(delay_s, delay_s))
+    return _delays(scenario, None if axis else scenario.gain_study.violation_windows)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Point:
-    """A point of an experiment.
+    """A point of an experiment."""
 
-    Attributes
-    ----------
-    value
-        Its name, in paths and metadata; empty where the experiment has no other.
-    scenario
-        The scenario with the values of the point in place.
-    values
-        Dotted key -> value, of a sweep.
-    policies
-        Which run here; all of the experiment's unless given.
-    delays
-        Forced ones, of the gain study.
-    """
-
-    value: str
-    scenario: Scenario
-    values: Mapping[str, Any] = field(default_factory=dict)
-    policies: tuple[str, ...] | None = None
-    delays: ForcedDelays | None = None
+    value: str  # its name, in paths and metadata; empty where the experiment has no other
+    scenario: Scenario  # with the values of the point in place
+    values: Mapping[str, Any] = field(default_factory=dict)  # dotted key -> value, of a sweep
+    policies: tuple[str, ...] | None = None  # all of the experiment's unless given
+    delays: ForcedDelays | None = None  # of the gain study
 
 
 @dataclass(frozen=True, kw_only=True)
 class Experiment:
-    """Points x policies x seeds.
+    """Points x policies x seeds: all meet each other, but for a point's own list of policies."""
 
-    Attributes
-    ----------
-    name
-        Folder of its logs.
-    stage
-        In the metadata of its logs; worlds of different stages are independent.
-    axis
-        What its points vary, in tables; empty for none.
-    points, policies, seeds
-        All of them meet each other, but for a point's own list of policies.
-    warmup_s, duration_s
-        Of every world, the warm-up first [s].
-    profile
-        Of the logs.
-    full_logs, full_log_s
-        Worlds whose beginning is logged in full as well, and how long that is.
-    """
-
-    name: str
-    stage: str
-    axis: str = ""
+    name: str  # folder of its logs
+    stage: str  # in the metadata of its logs; worlds of different stages are independent
+    axis: str = ""  # what its points vary, in tables
     points: tuple[Point, ...]
     policies: tuple[str, ...]
     seeds: tuple[int, ...]
-    warmup_s: float
-    duration_s: float
-    profile: str
-    full_logs: int = 0
-    full_log_s: float = 0.0
+    warmup_s: float  # of every world, and first [s]
+    duration_s: float  # behind it [s]
+    profile: str  # of the logs
+    full_logs: int = 0  # worlds whose beginning is logged in full as well
+    full_log_s: float = 0.0  # and how long that is [s]
 
     @property
     def forced(self) -> bool:
@@ -190,54 +144,60 @@ class Experiment:
 def experiments(scenario: Scenario) -> dict[str, Experiment]:
     """Return every experiment of a study by name, with whatever has points and policies.
 
-    Raises
-    ------
-    ScenarioError
-        If a point does not fit the rest of the scenario; all faults are listed.
+    ScenarioError if a point does not fit the rest of the scenario; all faults are listed.
     """
+    builders: list[Callable[[], Experiment]] = [
+        partial(_evaluation, scenario),
+        *(partial(_sweep, scenario, name) for name in scenario.sweeps.axes),
+        partial(_cells, scenario),
+    ]
+    if scenario.gain_study.methods:
+        builders += [
+            partial(_forced, scenario, "gain_study", "", _method_points),
+            partial(_forced, scenario, "gain_grid", "grid", _grid_points),
+            partial(_forced, scenario, "gain_sampling_s", "sampling_s", _sampling_points),
+            partial(_forced, scenario, "gain_noise", "noise", _noise_points),
+        ]
     faults: list[str] = []
     found = []
-    for build in (_evaluation, _sweeps, _cells, _gain_study):
-        for make in build(scenario):
-            try:
-                found.append(make())
-            except ScenarioError as error:
-                faults.append(str(error))
+    for build in builders:
+        try:
+            found.append(build())
+        except ScenarioError as error:
+            faults.append(str(error))
     if faults:
         raise ScenarioError("\n".join(faults))
     return {e.name: e for e in found if e.points and e.policies}
 
 
-def _evaluation(scenario: Scenario) -> Iterator[Any]:
-    worlds = scenario.evaluate
-    yield lambda: Experiment(
+def _in_worlds(worlds: Worlds, **others: Any) -> Experiment:
+    """Return an experiment in the worlds of a section, and with its policies unless given."""
+    own = {key: getattr(worlds, key) for key in ("policies", "seeds", "warmup_s", "duration_s")}
+    return Experiment(**{**own, **others})
+
+
+def _evaluation(scenario: Scenario) -> Experiment:
+    return _in_worlds(
+        scenario.evaluate,
         name="evaluate",
         stage="evaluate",
         points=(Point(value="", scenario=scenario),),
-        policies=worlds.policies,
-        seeds=worlds.seeds,
-        warmup_s=worlds.warmup_s,
-        duration_s=worlds.duration_s,
         profile=scenario.log.evaluate_profile,
-        full_logs=worlds.full_logs,
-        full_log_s=worlds.full_log_s,
+        full_logs=scenario.evaluate.full_logs,
+        full_log_s=scenario.evaluate.full_log_s,
     )
 
 
-def _sweeps(scenario: Scenario) -> Iterator[Any]:
-    worlds = scenario.sweeps
-    for name in worlds.axes:
-        yield lambda name=name: Experiment(
-            name=name,
-            stage="sweep",
-            axis=name,
-            points=tuple(_axis_points(scenario, name)),
-            policies=axis_policies(scenario, name),
-            seeds=worlds.seeds,
-            warmup_s=worlds.warmup_s,
-            duration_s=worlds.duration_s,
-            profile=scenario.log.sweep_profile,
-        )
+def _sweep(scenario: Scenario, name: str) -> Experiment:
+    return _in_worlds(
+        scenario.sweeps,
+        name=name,
+        stage="sweep",
+        axis=name,
+        points=tuple(_axis_points(scenario, name)),
+        policies=axis_policies(scenario, name),
+        profile=scenario.log.sweep_profile,
+    )
 
 
 def axis_policies(scenario: Scenario, name: str) -> tuple[str, ...]:
@@ -295,20 +255,16 @@ def value_text(value: Any) -> str:
     return format(value, ".12g")
 
 
-def _cells(scenario: Scenario) -> Iterator[Any]:
-    worlds = scenario.generalise
-    yield lambda: Experiment(
+def _cells(scenario: Scenario) -> Experiment:
+    return _in_worlds(
+        scenario.generalise,
         name="generalise",
         stage="generalise",
         axis="cell",
         points=tuple(
             Point(value="u{}_e{}_k{}".format(*cell), scenario=cell_scenario(scenario, cell))
-            for cell in worlds.cells
+            for cell in scenario.generalise.cells
         ),
-        policies=worlds.policies,
-        seeds=worlds.seeds,
-        warmup_s=worlds.warmup_s,
-        duration_s=worlds.duration_s,
         profile=scenario.log.sweep_profile,
     )
 
@@ -319,10 +275,7 @@ def cell_scenario(scenario: Scenario, cell: Cell) -> Scenario:
     The loads of the users are as spread as the scenario's: each is the average of its part of the
     sorted list, so that users of twice as many have every load twice.
 
-    Raises
-    ------
-    ScenarioError
-        If the cell does not fit the rest of the scenario.
+    ScenarioError if the cell does not fit the rest of the scenario.
     """
     num_urllc, num_embb, num_prb = cell
     radio, traffic = scenario.radio, scenario.traffic
@@ -350,28 +303,18 @@ def _spread(offered_mbps: float | tuple[float, ...], count: int) -> float | tupl
     return tuple(sum(each[part : part + len(loads)]) / len(loads) for part in parts)
 
 
-def _gain_study(scenario: Scenario) -> Iterator[Any]:
-    study = scenario.gain_study
-    if not study.methods:
-        return
-    yield lambda: _forced(scenario, "gain_study", "", _method_points(scenario), study.num_windows)
-    sweeps = {"grid": _grid_points, "sampling_s": _sampling_points, "noise": _noise_points}
-    for axis, points in sweeps.items():
-        yield lambda axis=axis, points=points: _forced(
-            scenario, f"gain_{axis}", axis, points(scenario), study.sweep_windows
-        )
-
-
 def _forced(
-    scenario: Scenario, name: str, axis: str, points: Iterator[Point], windows: int
+    scenario: Scenario, name: str, axis: str, points: Callable[[Scenario], Iterator[Point]]
 ) -> Experiment:
+    study = scenario.gain_study
+    windows = study.sweep_windows if axis else study.num_windows
     return Experiment(
         name=name,
         stage="gain_study",
         axis=axis,
-        points=tuple(points),
+        points=tuple(points(scenario)),
         policies=GAINS,
-        seeds=scenario.gain_study.seeds,
+        seeds=study.seeds,
         warmup_s=0.0,
         duration_s=windows * scenario.robot.window_s,
         profile=scenario.log.gain_study_profile,
@@ -384,11 +327,6 @@ def _method_points(scenario: Scenario) -> Iterator[Point]:
     Methods on one plant have the same nominal gain: it runs with the first of them.
     """
     study = scenario.gain_study
-    delays = ForcedDelays(
-        windows=study.violation_windows,
-        violation_s=study.violation_delay_s,
-        calm_s=study.calm_delay_s,
-    )
     for method in study.methods:
         first = method == baseline_method(scenario, method)
         variant = _method_scenario(scenario, method)
@@ -396,7 +334,7 @@ def _method_points(scenario: Scenario) -> Iterator[Point]:
             value=method,
             scenario=robots_alone(variant, study.num_robots, f"gain_study with {method}"),
             policies=GAINS if first else ("adjusted",),
-            delays=delays,
+            delays=_delays(scenario, study.violation_windows),
         )
 
 
@@ -420,19 +358,28 @@ def _method_scenario(scenario: Scenario, method: GainMethod) -> Scenario:
     return replace(scenario, control=control)
 
 
+def _delays(
+    scenario: Scenario,
+    windows: tuple[int, ...] | None = None,
+    violation_s: tuple[float, float] | None = None,
+) -> ForcedDelays:
+    """Return the delays of a gain study; in its sweeps all windows but the first are violated."""
+    study = scenario.gain_study
+    return ForcedDelays(
+        windows=windows or tuple(range(2, study.sweep_windows + 1)),
+        violation_s=violation_s or study.violation_delay_s,
+        calm_s=study.calm_delay_s,
+    )
+
+
 def _sweep_point(
     scenario: Scenario, value: str, violation_s: tuple[float, float] | None = None
 ) -> Point:
-    """Return a point of a sweep of the gain study: its first window is calm, others violated."""
-    study = scenario.gain_study
+    """Return a point of a sweep of the gain study."""
     return Point(
         value=value,
-        scenario=robots_alone(scenario, study.sweep_robots, f"gain_study, {value}"),
-        delays=ForcedDelays(
-            windows=tuple(range(2, study.sweep_windows + 1)),
-            violation_s=study.violation_delay_s if violation_s is None else violation_s,
-            calm_s=study.calm_delay_s,
-        ),
+        scenario=robots_alone(scenario, scenario.gain_study.sweep_robots, f"gain_study, {value}"),
+        delays=_delays(scenario, violation_s=violation_s),
     )
 
 
@@ -460,10 +407,7 @@ def _noise_points(scenario: Scenario) -> Iterator[Point]:
 def robots_alone(scenario: Scenario, num_robots: int, what: str) -> Scenario:
     """Return the scenario with so many robots, in a cell just large enough for them.
 
-    Raises
-    ------
-    ScenarioError
-        If the scenario does not hold together; `what` is named.
+    ScenarioError if the scenario does not hold together; `what` is named.
     """
     traffic = replace(scenario.traffic, urllc_offered_mbps=1.0, embb_offered_mbps=1.0)
     variant = replace(
@@ -488,33 +432,26 @@ def learner_scenario(scenario: Scenario, learner: str) -> Scenario:
     Lists of policies name this learner, by its algorithm, and the schedulers: the scenario holds
     together on its own, as a log's has to.
 
-    Raises
-    ------
-    ValueError
-        If there is no such learner.
+    ValueError if there is no such learner.
     """
     if learner not in scenario.learned:
         raise ValueError(f"learner = {learner!r}: must be one of {', '.join(scenario.learned)}")
     learning = scenario.learned[learner]
 
-    def own(policies: tuple[str, ...]) -> tuple[str, ...]:
-        kept = [policy for policy in policies if policy not in scenario.learned]
-        return (learning.algorithm, *kept)
+    def own(section: Any) -> Any:
+        if not isinstance(section.policies, tuple):
+            return section  # an axis that takes those of others
+        kept = [policy for policy in section.policies if policy not in scenario.learned]
+        return replace(section, policies=(learning.algorithm, *kept))
 
-    evaluate, sweeps, cells = scenario.evaluate, scenario.sweeps, scenario.generalise
-    axes = {
-        name: replace(axis, policies=own(axis.policies))
-        if isinstance(axis.policies, tuple)
-        else axis
-        for name, axis in sweeps.axes.items()
-    }
+    axes = {name: own(axis) for name, axis in scenario.sweeps.axes.items()}
     return replace(
         scenario,
         learning=learning,
         learners={},
-        evaluate=replace(evaluate, policies=own(evaluate.policies)),
-        sweeps=replace(sweeps, policies=own(sweeps.policies), axes=axes),
-        generalise=replace(cells, policies=own(cells.policies)),
+        evaluate=own(scenario.evaluate),
+        sweeps=replace(own(scenario.sweeps), axes=axes),
+        generalise=own(scenario.generalise),
     )
 
 

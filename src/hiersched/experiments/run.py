@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -41,21 +41,10 @@ def run_experiment(
 ) -> None:
     """Run and log a group of policies; every policy runs in all worlds of a point as one batch.
 
-    Of a learner's policies one a world is logged, the others are measured as they run. The
-    beginning of the first worlds is also logged in full: to look at, not to measure.
-
-    Parameters
-    ----------
-    scenario
-        The study's.
-    results
-        Its folder, with the gain schedules.
-    name, group
-        One of `experiments`, and one of its `groups`.
-    source
-        Where policies are found by name.
-    measure
-        What measures the runs that are not logged.
+    Of a learner's policies one a world is logged, the others are measured as they run, by
+    `measure`. The beginning of the first worlds is also logged in full: to look at, not to measure.
+    `results` is the folder of the study, with its gain schedules; `name` is one of `experiments`,
+    `group` one of its `groups`.
     """
     experiment = experiments(scenario)[name]
     policies = groups(scenario, experiment)[group]
@@ -64,8 +53,8 @@ def run_experiment(
         variant = point.scenario
         if group == GAIN_GROUP:
             variant = gain_variant(point, policy)  # type: ignore[arg-type]  # one of GAINS
-        design = design_of(scenario, variant)
-        schedule, gains = load_gains(results / files.gain_file(design), variant)
+        path = results / files.gain_file(design_of(scenario, variant))
+        schedule, gains = load_gains(path, variant)
         num_slots, warmup_slots = experiment.num_slots(variant)
         metadata = {"warmup_slots": str(warmup_slots)} if warmup_slots else {}
         if point.delays is not None:
@@ -118,19 +107,12 @@ def _forced_runs(
 
 def slots_of(scenario: Scenario, label: RunLabel, run: WorldRun) -> RunSlots:
     """Return the slots of a run as `logged.read_slots` would read them from its log."""
-    metadata: Mapping[str, str] = {
-        "policy": label.policy,
-        "seed": str(label.seed),
-        "stage": label.stage,
-        "axis": label.axis,
-        "value": label.value,
-        **run.metadata,
-    }
+    metadata = {**label.metadata(), **run.metadata}
     seed = metadata.get("policy_seed", "none")
     return RunSlots(
         source=f"{label.stage} {label.axis} {label.value} {label.policy}, policy {seed}, "
         f"world {label.seed}",
-        metadata=dict(metadata),
+        metadata=metadata,
         num_urllc=scenario.users.num_urllc,
         slot_s=round(scenario.radio.slot_s * 1e9) * 1e-9,
         warmup_slots=int(metadata.get("warmup_slots", "0")),

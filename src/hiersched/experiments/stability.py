@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +21,7 @@ from hiersched.control import (
     input_memory_radii,
     spectral_radius_by_delay,
 )
+from hiersched.core.files import write_bytes
 from hiersched.experiments import files
 from hiersched.experiments.gains import design_of, load_gains
 from hiersched.experiments.points import experiments
@@ -63,21 +63,21 @@ def certified_delays(plant: DelayedPlant, cap: int) -> dict[str, int | None]:
     """
     A_c, A_d = plant.closed_loop(plant.nominal_gain)
     exact = last_stable(spectral_radius_by_delay(A_c, A_d, cap))
-    analyses: dict[str, Callable[[int], Any]] = {
-        "c1": lambda T: analyse_razumikhin(A_c, A_d, T, STABILITY_RATE),
-        "c2": lambda T: analyse_delay_razumikhin(A_c, A_d, T),
-        "c3": lambda T: analyse_krasovskii(A_c, A_d, T),
-    }
-    longest: dict[str, int | None] = {"exact": exact}
-    for name, analyse in analyses.items():
 
-        def holds(T: int, analyse: Callable[[int], Any] = analyse) -> bool:
+    def certified(analyse: Callable[[int], Any]) -> int | None:
+        def holds(T: int) -> bool:
             witness = analyse(T)
             return witness is not None and certify(A_c, A_d, T, witness).certified
 
         # No condition can certify a constant delay that is unstable.
-        longest[name] = None if exact is None else longest_delay(holds, exact)
-    return longest
+        return None if exact is None else longest_delay(holds, exact)
+
+    return {
+        "exact": exact,
+        "c1": certified(lambda T: analyse_razumikhin(A_c, A_d, T, STABILITY_RATE)),
+        "c2": certified(lambda T: analyse_delay_razumikhin(A_c, A_d, T)),
+        "c3": certified(lambda T: analyse_krasovskii(A_c, A_d, T)),
+    }
 
 
 def adjusted_delay(plant: DelayedPlant, schedule: GainSchedule, steps: int) -> int | None:
@@ -93,27 +93,14 @@ def write_stability(scenario: Scenario, results: Path) -> Path:
 
     Against the weight q: each nominal loop on both plants, and the scenario's own after adjustment
     to the longest delay of the grid. Against the sampling interval: the scenario's own loop, exact.
+    Delays go up to T_max of `control`; the gain schedules lie in `results`, the study's folder.
 
-    Parameters
-    ----------
-    scenario
-        Section `gain_study` decides; delays go up to T_max of `control`.
-    results
-        Folder of the study; the gain schedules lie in it.
-
-    Returns
-    -------
-    Path
-        The file, a list of rows: axis, value, plant, sampling_s, criterion, max_delay_steps (the
-        longest that was looked at), delay_steps (null: not even 0).
+    Returns the file, a list of rows: axis, value, plant, sampling_s, criterion, max_delay_steps
+    (the longest that was looked at), delay_steps (null: not even 0).
     """
     rows = [*_weight_rows(scenario, results), *_sampling_rows(scenario)]
-    path = results / files.STABILITY
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_name(f"{path.name}.part")
-    part.write_text(json.dumps(rows, sort_keys=True, indent=1) + "\n", encoding="utf-8")
-    os.replace(part, path)
-    return path
+    text = json.dumps(rows, sort_keys=True, indent=1) + "\n"
+    return write_bytes(results / files.STABILITY, text.encode())
 
 
 def _weight_rows(scenario: Scenario, results: Path) -> list[dict[str, Any]]:
@@ -138,12 +125,11 @@ def _weight_rows(scenario: Scenario, results: Path) -> list[dict[str, Any]]:
 def _sampling_rows(scenario: Scenario) -> list[dict[str, Any]]:
     rows = []
     swept = experiments(scenario).get("gain_sampling_s")
-    for point in () if swept is None else swept.points:
-        plant = plant_of(point.scenario)
+    for own in () if swept is None else (point.scenario for point in swept.points):
+        plant = plant_of(own)
         loop = plant.closed_loop(plant.nominal_gain)
-        longest = last_stable(spectral_radius_by_delay(*loop, point.scenario.max_delay_steps))
-        sampling_s = point.scenario.control.sampling_s
-        rows.append(_row("sampling_s", sampling_s, point.scenario, "exact", longest))
+        longest = last_stable(spectral_radius_by_delay(*loop, own.max_delay_steps))
+        rows.append(_row("sampling_s", own.control.sampling_s, own, "exact", longest))
     return rows
 
 

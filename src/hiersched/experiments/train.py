@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,70 +24,45 @@ from hiersched.scenario import Scenario, scenario_sha256
 from hiersched.scenario.schema import checkpoint_rounds
 
 
+@dataclass
 class RoundLogs:
     """Logs of the rounds that are complete, one file a seed and round, beside the checkpoint.
 
     A round is so many episodes side by side, of the training or, without noise, in the fixed
     worlds. A log cannot be continued, so those of the seeds are put together from these at the end.
-
-    Parameters
-    ----------
-    scenario
-        Section `learning` decides.
-    schedule
-        Gain schedule in force.
-    learner
-        Whose training it is.
-    folder
-        Where the files go.
-    stage
-        ``train`` or ``checkpoint``.
-    num_envs
-        Episodes of a round.
-    num_rounds, first_round
-        Rounds in all, and those that were complete before.
     """
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        schedule: GainSchedule,
-        learner: str,
-        folder: Path,
-        *,
-        stage: str,
-        num_envs: int,
-        num_rounds: int,
-        first_round: int,
-    ) -> None:
-        self._scenario = scenario
-        self._learner = learner
-        self._schedule = schedule
-        self._folder = folder
-        self._stage = stage
-        self._num_envs = num_envs
-        self._num_rounds = num_rounds
-        self._episodes = [first_round * num_envs] * len(scenario.learning.seeds)
+    scenario: Scenario
+    schedule: GainSchedule
+    learner: str
+    folder: Path
+    stage: str  # train or checkpoint
+    num_envs: int  # episodes of a round
+    num_rounds: int  # rounds in all
+    first_round: int  # rounds that were complete before
+
+    def __post_init__(self) -> None:
+        self._episodes = [self.first_round * self.num_envs] * len(self.scenario.learning.seeds)
         self._writers: dict[int, LogWriter] = {}
 
     def add(self, seed_index: int, fields: Mapping[str, NDArray[Any]]) -> None:
         """Log the next episode of a seed."""
-        round_index, env = divmod(self._episodes[seed_index], self._num_envs)
+        episode = self._episodes[seed_index]
+        round_index, env = divmod(episode, self.num_envs)
         if env == 0:
-            self._writers[seed_index] = self._open(
-                self.path(seed_index, round_index), seed_index, {"round": str(round_index)}
-            )
+            path = self.path(seed_index, round_index)
+            self._writers[seed_index] = self._open(path, seed_index, {"round": str(round_index)})
         writer = self._writers[seed_index]
-        first_slot = self._episodes[seed_index] * self._scenario.learning.slots_per_episode
-        log_block(writer, self._scenario, self._schedule, fields, first_slot)
+        first_slot = episode * self.scenario.learning.slots_per_episode
+        log_block(writer, self.scenario, self.schedule, fields, first_slot)
         self._episodes[seed_index] += 1
-        if env == self._num_envs - 1:
+        if env == self.num_envs - 1:
             writer.close()
 
     def join(self, seed_index: int, path: Path, attachments: Mapping[str, bytes]) -> None:
         """Put the rounds of a seed together into one log."""
         with self._open(path, seed_index, {}, attachments) as writer:
-            for round_index in range(self._num_rounds):
+            for round_index in range(self.num_rounds):
                 with LogReader(self.path(seed_index, round_index)) as part:
                     fields: dict[str, NDArray[Any]] = {}
                     slots = np.empty(0, np.uint64)
@@ -94,12 +71,12 @@ class RoundLogs:
                         slots = fields.pop("slot")
                     writer.write_block(int(slots[0]), fields)
                     for event in part.events():
-                        writer.event(event.slot, event.level, event.name, event.message)
+                        writer.event(*event)
 
     def path(self, seed_index: int, round_index: int) -> Path:
         """File of one seed and round."""
-        seed = self._scenario.learning.seeds[seed_index]
-        return self._folder / f"{self._stage}_seed{seed}_round{round_index}.mcap"
+        seed = self.scenario.learning.seeds[seed_index]
+        return self.folder / f"{self.stage}_seed{seed}_round{round_index}.mcap"
 
     def _open(
         self,
@@ -108,17 +85,17 @@ class RoundLogs:
         metadata: Mapping[str, str],
         attachments: Mapping[str, bytes] | None = None,
     ) -> LogWriter:
-        learning = self._scenario.learning
+        learning = self.scenario.learning
         return open_log(
             path,
-            self._scenario,
-            self._schedule,
-            RunLabel(stage=self._stage, policy=self._learner, seed=learning.seeds[seed_index]),
-            profile=self._scenario.log.train_profile,
+            self.scenario,
+            self.schedule,
+            RunLabel(stage=self.stage, policy=self.learner, seed=learning.seeds[seed_index]),
+            profile=self.scenario.log.train_profile,
             metadata={
                 "slots_per_episode": str(learning.slots_per_episode),
-                "episodes": str(self._num_envs * self._num_rounds),
-                "episodes_per_round": str(self._num_envs),
+                "episodes": str(self.num_envs * self.num_rounds),
+                "episodes_per_round": str(self.num_envs),
                 "start": learning.start,
                 **metadata,
             },
@@ -129,21 +106,11 @@ class RoundLogs:
 def train_and_log(
     study: Scenario, learner: str, results: Path, code: str, *, show: bool = True
 ) -> None:
-    """Train all seeds of a learner; write policies, progress and the log of every slot.
+    """Train all seeds of one of `study.learned`; write policies, progress and a log of every slot.
 
-    Parameters
-    ----------
-    study
-        The scenario.
-    learner
-        One of `study.learned`.
-    results
-        Folder of the study; the scenario's gain schedule lies in it.
-    code
-        Names the code: a checkpoint of the same code and scenario is where training goes on, to the
-        same bits; any other is removed.
-    show
-        Whether to show progress on the terminal.
+    The scenario's gain schedule lies in `results`, the folder of the study. `code` names the code:
+    a checkpoint of the same code and scenario is where training goes on, to the same bits; any
+    other is removed. With `show` the terminal shows progress.
     """
     scenario = learner_scenario(study, learner)
     schedule, gains = load_gains(results / files.gain_file("schedule"), scenario)
@@ -154,21 +121,14 @@ def train_and_log(
         print(f"going on after round {done} of {checkpoint}", flush=True)
     learning = scenario.learning
     rounds = checkpoint_rounds(learning)
-    logs = RoundLogs(
-        scenario,
-        schedule,
-        learner,
-        checkpoint.parent,
+    make_logs = partial(RoundLogs, scenario, schedule, learner, checkpoint.parent)
+    logs = make_logs(
         stage="train",
         num_envs=learning.num_envs,
         num_rounds=learning.episodes // learning.num_envs,
         first_round=done,
     )
-    fixed = RoundLogs(
-        scenario,
-        schedule,
-        learner,
-        checkpoint.parent,
+    fixed = make_logs(
         stage="checkpoint",
         num_envs=learning.checkpoint_worlds,
         num_rounds=len(rounds),

@@ -31,23 +31,11 @@ PolicySource = Callable[[Scenario, str], Sequence[RunnablePolicy]]
 
 @dataclass(frozen=True, kw_only=True)
 class WorldRun:
-    """What a policy did in one world: fields of `SlotRecord` (T, ...), and more for the log.
+    """What a policy did in one world, and more for the log."""
 
-    Attributes
-    ----------
-    seed
-        Of the world.
-    fields
-        Name -> values, leading axis (T,).
-    logged
-        Whether the run is to have a log; else its measures are all that stays of it.
-    metadata, attachments
-        Of that log.
-    """
-
-    seed: int
-    fields: Mapping[str, NDArray[Any]]
-    logged: bool = True
+    seed: int  # of the world
+    fields: Mapping[str, NDArray[Any]]  # of `SlotRecord`, leading axis (T,)
+    logged: bool = True  # else measures are all that stays of the run
     metadata: Mapping[str, str] = field(default_factory=dict)
     attachments: Mapping[str, bytes] = field(default_factory=dict)
 
@@ -77,23 +65,10 @@ def run_worlds(
 ) -> Iterator[WorldRun]:
     """Run policies in one world a seed; worlds of different purposes are independent.
 
-    Parameters
-    ----------
-    scenario, gains
-        What is run.
-    policies
-        One, or one a training seed: every policy runs in every world, and world i under policy i,
-        modulo their number, is logged. Logs of all pairs would be ten times as large; a log of any
-        of them comes from that of a rule in its world, with ``hiersched replay LOG --policy FILE``.
-    purpose, seeds
-        Of the worlds.
-    num_slots
-        Of every world.
-
-    Yields
-    ------
-    WorldRun
-        Policy by policy, the worlds of each in the order of their seeds.
+    Of `policies`, one or one a training seed, each runs `num_slots` in every world, and world i
+    under policy i, modulo their number, is logged. Logs of all pairs would be ten times as large; a
+    log of any of them comes from that of a rule in its world, with ``hiersched replay LOG --policy
+    FILE``. Yields policy by policy, the worlds of each in the order of their seeds.
     """
     for index, runnable in enumerate(policies):
         own = seeds[index :: len(policies)]

@@ -70,6 +70,19 @@ def _bytes_of(*records: McapRecord) -> bytes:
     return bytes(builder.end())  # type: ignore[no-untyped-call]
 
 
+def attachment_index(attachment: Attachment, offset: int, length: int) -> AttachmentIndex:
+    """Return the entry of the summary for an attachment whose record lies at these bytes."""
+    return AttachmentIndex(
+        offset=offset,
+        length=length,
+        log_time=attachment.log_time,
+        create_time=attachment.create_time,
+        data_size=len(attachment.data),
+        name=attachment.name,
+        media_type=attachment.media_type,
+    )
+
+
 def chunk_names(compression: str, nbytes: int) -> bytes:
     """Part of a Chunk record between its start and its data."""
     name = compression.encode()
@@ -111,20 +124,11 @@ class Container:
     def add_attachment(self, name: str, data: bytes) -> None:
         """Write an Attachment, dated to the start of the simulation."""
         media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
-        record = _bytes_of(
-            Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=data)
+        attachment = Attachment(
+            create_time=0, log_time=0, name=name, media_type=media_type, data=data
         )
-        self._attachments.append(
-            AttachmentIndex(
-                offset=self._offset,
-                length=len(record),
-                log_time=0,
-                create_time=0,
-                data_size=len(data),
-                name=name,
-                media_type=media_type,
-            )
-        )
+        record = _bytes_of(attachment)
+        self._attachments.append(attachment_index(attachment, self._offset, len(record)))
         self._write(record)
 
     def add_channel(
@@ -170,12 +174,8 @@ class Container:
         self._write(packed, crc if packed is data else None)
         index_start = self._offset
         entries = np.stack((times, offsets), axis=1).astype("<u8", copy=False).tobytes()
-        self._write(
-            _MESSAGE_INDEX_START.pack(
-                Opcode.MESSAGE_INDEX, 6 + len(entries), channel_id, len(entries)
-            )
-            + entries
-        )
+        head = Opcode.MESSAGE_INDEX, 6 + len(entries), channel_id, len(entries)
+        self._write(_MESSAGE_INDEX_START.pack(*head) + entries)
         self._counts[channel_id] += len(times)
         self._chunks.append(
             ChunkIndex(
@@ -199,13 +199,8 @@ class Container:
         for group in self._summary_groups():
             if group:
                 data = _bytes_of(*group)
-                offsets.append(
-                    SummaryOffset(
-                        group_opcode=data[0],
-                        group_start=start + len(summary),
-                        group_length=len(data),
-                    )
-                )
+                place = {"group_start": start + len(summary), "group_length": len(data)}
+                offsets.append(SummaryOffset(group_opcode=data[0], **place))
                 summary += data
         offset_start = start + len(summary)
         summary += _bytes_of(*offsets)
@@ -225,14 +220,9 @@ class Container:
             metadata_count=len(self._metadata),
             schema_count=len(self._schemas),
         )
-        return [
-            [*self._schemas],
-            [*self._channels],
-            [statistics],
-            [*self._chunks],
-            [*self._attachments],
-            [*self._metadata],
-        ]
+        chunks, attachments, metadata = self._chunks, self._attachments, self._metadata
+        groups = self._schemas, self._channels, [statistics], chunks, attachments, metadata
+        return [[*group] for group in groups]
 
 
 def crc32_combine(first: int, second: int, second_bytes: int) -> int:

@@ -36,6 +36,7 @@ from hiersched.log.container import (
     FOOTER_START,
     MAGIC,
     RECORD_START,
+    attachment_index,
     chunk_names,
 )
 from hiersched.log.errors import LogError, reading
@@ -146,19 +147,13 @@ class LogFile:
         record = self.read(offset, index.chunk_length)
         names = chunk_names(index.compression, index.compressed_size)
         data = memoryview(record)[CHUNK_START.size + len(names) :]
-        start = (
-            Opcode.CHUNK,
-            len(record) - RECORD_START.size,
-            index.message_start_time,
-            index.message_end_time,
-            index.uncompressed_size,
-        )
-        *head, stored = CHUNK_START.unpack_from(record)
-        if (
-            tuple(head) != start
-            or record[CHUNK_START.size : CHUNK_START.size + len(names)] != names
-            or len(data) != index.compressed_size
-        ):
+        *start, stored = CHUNK_START.unpack_from(record)
+        announced = [
+            *(Opcode.CHUNK, len(record) - RECORD_START.size),
+            *(index.message_start_time, index.message_end_time, index.uncompressed_size),
+        ]
+        named = record[CHUNK_START.size : CHUNK_START.size + len(names)]
+        if start != announced or named != names or len(data) != index.compressed_size:
             raise self.fail(offset, "a chunk does not match its entry in the summary")
         content = self._decompress(index, data)
         if len(content) != index.uncompressed_size or zlib.crc32(content) != stored:
@@ -188,9 +183,8 @@ class LogFile:
             raise self._truncated()
         self.library: str = self._record(len(MAGIC), None, Header).library
         if not re.fullmatch(r"hiersched-log/[1-9][0-9]{0,8}", self.library):
-            raise self.fail(
-                len(MAGIC), f"this MCAP file is by {self.library!r}, not a log of hiersched"
-            )
+            what = f"this MCAP file is by {self.library!r}, not a log of hiersched"
+            raise self.fail(len(MAGIC), what)
 
     def _read_summary(self) -> list[Any]:
         """Check the footer and the summary's checksum, and read the summary's records."""
@@ -215,14 +209,10 @@ class LogFile:
         opcode, length, stored = struct.unpack("<BQI", self.read(end, DATA_END_BYTES))
         if (opcode, length) != (Opcode.DATA_END, 4):
             raise self.fail(end, "the end of the data section is damaged")
-        if not whole:
-            return
-        crc, position, step = 0, 0, 1 << 20
-        while position < end:
-            data = self.read(position, min(step, end - position))
-            crc = zlib.crc32(data, crc)
-            position += len(data)
-        if crc != stored:
+        crc, step = 0, 1 << 20
+        for position in range(0, end if whole else 0, step):
+            crc = zlib.crc32(self.read(position, min(step, end - position)), crc)
+        if whole and crc != stored:
             raise self.fail(end, "the data section does not match its checksum")
 
     def _take(self, summary: list[Any], counts: dict[int, int]) -> None:
@@ -257,23 +247,19 @@ class LogFile:
         crc = f"{zlib.crc32(self.read(offset, length)):08x}"
         if any(channel.metadata.get("metadata_crc32") != crc for channel in channels):
             raise self.fail(offset, "the metadata do not match their checksum")
-        self.metadata: dict[str, str] = self._record(offset, length, Metadata).metadata
+        metadata: dict[str, str] = self._record(offset, length, Metadata).metadata
+        self.metadata = metadata
         with reading(self.path, offset, "the metadata"):
-            self.slot_ns = int(self.metadata["slot_ns"])
-            self.profile = self.metadata["profile"]
-            self.dims = LogDims(
-                **{
-                    size.name: int(self.metadata[size.name])
-                    for size in fields(LogDims)
-                    # Logs of earlier versions do not say what their robots are: unicycles. Those
-                    # of models that add nothing do not say so.
-                    if size.default is MISSING or size.name in self.metadata
-                }
-            )
+            self.slot_ns = int(metadata["slot_ns"])
+            self.profile = metadata["profile"]
+            # Logs of earlier versions do not say what their robots are: unicycles. Those of models
+            # that add nothing do not say so.
+            sizes = (f.name for f in fields(LogDims) if f.default is MISSING or f.name in metadata)
+            self.dims = LogDims(**{name: int(metadata[name]) for name in sizes})
             num_values = self.dims.num_model_values
-            text = self.metadata[MODEL_FIELDS] if num_values else "[]"
+            text = metadata[MODEL_FIELDS] if num_values else "[]"
             self.model_fields = fields_from_text(text, num_values)
-            if self.slot_ns < 1 or int(self.metadata["schema_version"]) < 1:
+            if self.slot_ns < 1 or int(metadata["schema_version"]) < 1:
                 raise ValueError("slot_ns and schema_version have to be 1 at least")
 
     def _walk(self) -> tuple[list[Any], dict[int, int], list[LogError]]:
@@ -326,16 +312,7 @@ def _entry(opcode: int, body: bytes, offset: int) -> Any:
     if opcode == Opcode.METADATA:
         return MetadataIndex(offset=offset, length=length, name=Metadata.read(stream).name)
     if opcode == Opcode.ATTACHMENT:
-        attachment = Attachment.read(stream)
-        return AttachmentIndex(
-            offset=offset,
-            length=length,
-            log_time=attachment.log_time,
-            create_time=attachment.create_time,
-            data_size=len(attachment.data),
-            name=attachment.name,
-            media_type=attachment.media_type,
-        )
+        return attachment_index(Attachment.read(stream), offset, length)
     if opcode == Opcode.CHUNK:
         chunk = Chunk.read(stream)
         return ChunkIndex(

@@ -8,7 +8,6 @@ import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import cached_property
-from types import TracebackType
 from typing import Any, Literal, NamedTuple, Self
 
 import numpy as np
@@ -299,25 +298,19 @@ class LogReader:
             rows = np.frombuffer(data, layout.dtype)
         for name in layout.constants:
             if not (rows[name] == layout.template[name]).all():
-                raise LogError(
-                    self.path,
-                    chunk.chunk_start_offset,
-                    f"a chunk of {topic} has messages that do not follow the schema ({name})",
-                )
+                what = f"a chunk of {topic} has messages that do not follow the schema ({name})"
+                raise LogError(self.path, chunk.chunk_start_offset, what)
         return rows
 
     def contents(self) -> list[TopicContent]:
         """Say what each topic takes, events included, in the order of their channels."""
-        return [
-            TopicContent(
-                name,
-                topic.num_messages,
-                len(topic.chunks),
-                sum(chunk.uncompressed_size for chunk in topic.chunks),
-                sum(chunk.compressed_size for chunk in topic.chunks),
-            )
-            for name, topic in self._file.topics.items()
-        ]
+        found = []
+        for name, topic in self._file.topics.items():
+            plain = sum(chunk.uncompressed_size for chunk in topic.chunks)
+            stored = sum(chunk.compressed_size for chunk in topic.chunks)
+            numbers = topic.num_messages, len(topic.chunks), plain, stored
+            found.append(TopicContent(name, *numbers))
+        return found
 
     def events(self) -> list[Event]:
         """Read the events, by slot; those of one slot in the order in which they were logged."""
@@ -353,12 +346,7 @@ class LogReader:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 

@@ -49,15 +49,9 @@ def recovered_path(path: Path) -> Path:
 def recover(path: str | os.PathLike[str], out: str | os.PathLike[str] | None = None) -> Recovery:
     """Write the slots of a damaged or unfinished log that are whole into a new log.
 
-    A slot is whole when its message is there on every topic of the log. The new log has the schema
-    of the old one, with all fields, also those that this version does not know.
-
-    Parameters
-    ----------
-    path
-        The log; it is not changed.
-    out
-        The new log, `recovered_path` unless given. It must not exist.
+    A slot is whole when its message is there on every topic of the log. The log is not changed. The
+    new one, at `out` or `recovered_path`, has the schema of the old one, with all fields, also
+    those that this version does not know.
 
     Raises
     ------
@@ -83,15 +77,13 @@ def recover(path: str | os.PathLike[str], out: str | os.PathLike[str] | None = N
 
 def _load(file: LogFile) -> list[str]:
     """Read the summary or, without one, all records."""
+    losses: list[LogError] = []
     try:
         file.load(whole=False)
-    except LogError as error:
-        complaint = error
-    else:
-        return []
-    losses = file.load_without_summary()
-    if not any(topic.chunks for topic in file.topics.values()):
-        losses.append(complaint)
+    except LogError as complaint:
+        losses = file.load_without_summary()
+        if not any(topic.chunks for topic in file.topics.values()):
+            losses.append(complaint)
     return [f"at byte {loss.offset}: {loss.what}" for loss in losses]
 
 

@@ -40,18 +40,14 @@ class Parting:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two runs in the same world: names of the policies, slots that both logs have.
+    """Two runs in the same world."""
 
-    `num_batches` stretches of time are what the intervals are over; `measures` are differences,
-    other - baseline; `partings` are topics that differ, none if the logs say the same.
-    """
-
-    baseline: str
+    baseline: str  # name of the policy
     other: str
-    num_slots: int
-    num_batches: int
-    measures: tuple[Measure, ...]
-    partings: tuple[Parting, ...]
+    num_slots: int  # that both logs have
+    num_batches: int  # stretches of time, which the intervals are over
+    measures: tuple[Measure, ...]  # differences: other - baseline
+    partings: tuple[Parting, ...]  # topics that differ, none if the logs say the same
 
 
 def compare_logs(baseline: str | os.PathLike[str], other: str | os.PathLike[str]) -> Comparison:
@@ -62,10 +58,7 @@ def compare_logs(baseline: str | os.PathLike[str], other: str | os.PathLike[str]
     long enough to forget each other only if the run is. It says how sure the difference is in this
     world; other worlds need other seeds. What only one of the logs has is left out.
 
-    Raises
-    ------
-    LogError
-        If a log is damaged, or the worlds are not the same.
+    LogError if a log is damaged, or the worlds are not the same.
     """
     with LogReader(baseline) as a, LogReader(other) as b:
         count = _check_same_world(a, b)
@@ -93,10 +86,9 @@ def _check_same_world(a: LogReader, b: LogReader) -> int:
     A log of the profile ``decisions`` has nothing of the world: stage and seed have to say it.
     """
     for name in ("dims", "slot_ns"):
-        if getattr(a, name) != getattr(b, name):
-            raise LogError(
-                b.path, 0, f"{name} is {getattr(b, name)}, but {getattr(a, name)} in {a.path}"
-            )
+        first, second = getattr(a, name), getattr(b, name)
+        if first != second:
+            raise LogError(b.path, 0, f"{name} is {second}, but {first} in {a.path}")
     count = min(a.num_slots, b.num_slots)
     if not count:
         raise LogError(b.path if a.num_slots else a.path, 0, "the log has no slots")

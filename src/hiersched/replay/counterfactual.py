@@ -57,18 +57,15 @@ def policy_of(run: LoggedRun, policy: str) -> NamedPolicy:
 
 def _own_policy(run: LoggedRun) -> NamedPolicy:
     """Take the learned policy from the log."""
-    if run.stage == "train":
-        raise LogError(
-            run.path,
-            0,
-            f"{run.policy} was learning in this log, with noise on its actions, and is not to be "
-            "had any more; give a file of weights",
-        )
     wanted = f"policy_seed{run.metadata.get('policy_seed')}.json"
-    if wanted not in run.attachments:
-        raise LogError(
-            run.path, 0, f"it does not have the weights of {run.policy} (attachment {wanted})"
+    what = f"it does not have the weights of {run.policy} (attachment {wanted})"
+    if run.stage == "train":
+        what = (
+            f"{run.policy} was learning in this log, with noise on its actions, and is not to be "
+            "had any more; give a file of weights"
         )
+    if run.stage == "train" or wanted not in run.attachments:
+        raise LogError(run.path, 0, what)
     return _trained(run, run.attachments[wanted], f"{run.path}: attachment {wanted}")
 
 
@@ -93,16 +90,14 @@ def rerun(run: LoggedRun, policy: NamedPolicy, out: str | os.PathLike[str]) -> N
         value=run.metadata.get("value", ""),
     )
     kept = ("slots_per_episode", "episodes", "episodes_per_round", "warmup_slots")
+    metadata = {key: run.metadata[key] for key in kept if key in run.metadata}
     with open_log(
         Path(out),
         run.scenario,
         run.schedule,
         label,
         profile=run.profile,
-        metadata={
-            **{key: run.metadata[key] for key in kept if key in run.metadata},
-            **policy.runnable.metadata,
-        },
+        metadata={**metadata, **policy.runnable.metadata},
         attachments=policy.runnable.attachments,
     ) as writer:
         for first, fields in _episodes(run, policy.runnable.policy):

@@ -24,18 +24,11 @@ def export_tables(
     start_s: float = 0.0,
     stop_s: float = math.inf,
 ) -> list[Path]:
-    """Write topics as tables, each file whole or not at all.
+    """Write topics as tables, ``queue.csv`` and so on, each file whole or not at all.
 
-    Parameters
-    ----------
-    folder
-        Where ``queue.csv`` and so on go; it is made.
-    form
-        ``csv``, of which every number reads back to the same bits, or ``parquet``.
-    topics
-        Topics to write; all, events included, by default.
-    start_s, stop_s
-        Slots that start in this span of simulated time [s].
+    The folder is made. `form` is ``csv``, of which every number reads back to the same bits, or
+    ``parquet``. All topics are written unless given, events included, and of those the slots that
+    start from `start_s` to before `stop_s` [s] of simulated time.
 
     Raises
     ------

@@ -47,20 +47,10 @@ _WANTED = {
 def batch_means(log: LogReader, count: int, batches: int) -> list[tuple[str, str, FloatArray]]:
     """Average what matters over stretches of time, as far as the log has it.
 
-    Parameters
-    ----------
-    log
-        The log.
-    count
-        Slots to take, from the first on; at least 1.
-    batches
-        Stretches of (nearly) the same length, at most `count`.
-
-    Returns
-    -------
-    list of tuple
-        Name, unit and the mean of each stretch, shape (batches,). Late packets are over those that
-        were due in the whole run, so that the mean over stretches is the share of the run.
+    The first `count` slots, at least 1, are cut into `batches` stretches of (nearly) the same
+    length, at most `count`. Returns name, unit and the mean of each stretch, shape (batches,). Late
+    packets are over those that were due in the whole run, so that the mean over stretches is the
+    share of the run.
     """
     cut = np.linspace(0, count, batches + 1).astype(np.intp)
     length = np.diff(cut)

@@ -60,18 +60,9 @@ def verify(run: LoggedRun, on_slots: OnSlots | None = None) -> Difference | None
     Whether a learned policy's weights are its own, `rerun` says. Fields that the log does not have
     are not compared, nor are `run.unknown_fields`.
 
-    Parameters
-    ----------
-    run
-        The run, from `load_run`.
-    on_slots
-        Is given a batch that has been compared and what it holds, all fields of the `full` profile
-        with leading axes (E, T): weights that the log does not have are NaN.
-
-    Returns
-    -------
-    Difference or None
-        The first slot that differs and, within it, the first field in the order of the table.
+    `on_slots` is given a batch that has been compared and what it holds, all fields of the `full`
+    profile with leading axes (E, T): weights that the log does not have are NaN. Returns the first
+    slot that differs and, within it, the first field in the order of the table.
 
     Raises
     ------
@@ -205,10 +196,9 @@ def _event_difference(run: LoggedRun, log: LogReader, fields: Fields) -> Differe
         computed += slot_events(run.scenario, run.schedule, episode, first)
     logged = log.events()
     for a, b in zip(logged, computed, strict=False):
-        for name in a._fields:
-            if getattr(a, name) != getattr(b, name):
-                slot = min(a.slot, b.slot)
-                return Difference(slot, "/events", name, getattr(a, name), getattr(b, name))
+        for name, own, other in zip(a._fields, a, b, strict=True):
+            if own != other:
+                return Difference(min(a.slot, b.slot), "/events", name, own, other)
     if len(logged) != len(computed):
         longer = max(logged, computed, key=len)
         slot = longer[min(len(logged), len(computed))].slot

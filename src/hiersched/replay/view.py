@@ -65,12 +65,9 @@ def rerun_blueprint(dims: LogDims) -> Any:
     )
     image = rrb.Spatial2DView(name="PRBs by owner: last 100 slots", origin=IMAGE_TOPIC)
     events = rrb.TextLogView(name="Events", origin="/events")
+    rows = rrb.Grid(*plots, grid_columns=3), rrb.Horizontal(scene, image, events)
     return rrb.Blueprint(
-        rrb.Vertical(
-            rrb.Grid(*plots, grid_columns=3),
-            rrb.Horizontal(scene, image, events),
-            row_shares=[2, 1],
-        ),
+        rrb.Vertical(*rows, row_shares=[2, 1]),
         rrb.TimePanel(timeline="message_log_time", state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
@@ -147,21 +144,14 @@ def _mark_robots(recording: Any, dims: LogDims) -> None:
 def foxglove_layout(dims: LogDims) -> dict[str, Any]:
     """Lay out the panels of Foxglove (and Lichtblick): the views of Rerun, as JSON to import."""
     configs: dict[str, Any] = {}
+    line = {"enabled": True, "timestampMethod": "receiveTime"}
     for number, plot in enumerate(PLOTS):
-        configs[f"Plot!{number}"] = {
-            "title": plot.title,
-            "paths": [
-                {
-                    "value": f"{plot.topic}.{plot.field}[{i}]",
-                    "label": name,
-                    "enabled": True,
-                    "timestampMethod": "receiveTime",
-                }
-                for i, name in enumerate(series_names(plot, dims))
-            ],
-            "showLegend": False,
-            "isSynced": True,
-        }
+        paths = [
+            {"value": f"{plot.topic}.{plot.field}[{i}]", "label": name, **line}
+            for i, name in enumerate(series_names(plot, dims))
+        ]
+        panel = {"title": plot.title, "paths": paths, "showLegend": False, "isSynced": True}
+        configs[f"Plot!{number}"] = panel
     topics = [topic for pair in pose_topics(dims.num_posed) for topic in pair]
     configs["3D!0"] = {"topics": {topic: {"visible": True} for topic in topics}}
     configs["Image!0"] = {"imageMode": {"imageTopic": IMAGE_TOPIC}}

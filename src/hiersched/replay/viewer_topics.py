@@ -123,12 +123,11 @@ def _messages(log: LogReader) -> Iterator[tuple[str, Any, int]]:
 
 def _pose_messages(log: LogReader) -> Iterator[tuple[str, Any, int]]:
     if "/robots" not in log.topics or not {"state", "reference"} <= {*log.known_fields("/robots")}:
-        raise LogError(
-            log.path,
-            0,
+        what = (
             f"poses need state and reference, which the profile {log.profile} leaves out "
-            f"(hiersched replay {log.path} --out FULL.mcap writes the whole run)",
+            f"(hiersched replay {log.path} --out FULL.mcap writes the whole run)"
         )
+        raise LogError(log.path, 0, what)
     robots = log.read("/robots", ["state", "reference"])
     poses = robot_poses(robots["state"], robots["reference"]), robots["reference"][..., :3]
     for index, slot in enumerate(robots["slot"].tolist()):

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import fields
 from importlib import import_module
 from inspect import signature
+from operator import attrgetter
 from typing import Any
 
 from pydantic import ValidationError
@@ -17,11 +18,7 @@ from hiersched.models.model import SECTIONS
 from hiersched.policies.find import UNTRAINED, ImportedPolicy, untrained_names
 from hiersched.scenario.fault_text import own_faults
 from hiersched.scenario.reference_file import reference_faults
-from hiersched.scenario.schema import (
-    Learning,
-    Scenario,
-    model_at,
-)
+from hiersched.scenario.schema import Learning, Scenario, model_at
 
 LEAST_SNR_DB = -80.0
 """Below it, a PRB in a deep fade could carry exactly 0 bit/s, and no logarithm of a rate exists."""
@@ -48,41 +45,68 @@ def inconsistencies(scenario: Scenario, *, swept: bool = False) -> list[str]:
 
     A `swept` scenario is a point of a sweep: nothing else of the study runs in it.
     """
-    loads = _loads(scenario)
-    return [
-        *_users(scenario),
-        *loads,
+    if unfit := _users(scenario):  # the others would form arrays of any size
+        return unfit
+    faults = [
         *_link_budget(scenario),
         *_times(scenario),
         *_control(scenario),
         *reference_faults(scenario, swept=swept),
-        *([] if loads else _models(scenario)),  # they read one load a user
-        *_own_policies(scenario),
-        *_learners(scenario),
-        *_worlds(scenario, ("sweeps",) if swept else ("evaluate", "sweeps", "generalise")),
-        *([] if swept else [*_studies(scenario), *_full_logs(scenario), *_cells(scenario)]),
     ]
+    for key in SECTIONS:
+        faults += _asked(key, model_at(scenario, key).faults, scenario)
+    faults += [*_own_policies(scenario), *_learners(scenario)]
+    for name in ("sweeps",) if swept else ("evaluate", "sweeps", "generalise"):
+        faults += _multiples(scenario, "radio.slot_s", f"{name}.warmup_s", f"{name}.duration_s")
+        faults += _policies(scenario, f"{name}.policies", getattr(scenario, name).policies)
+    if not swept:
+        for name in ("evaluate", "sweeps", "generalise", "gain_study"):
+            faults += _once(f"{name}.seeds", getattr(scenario, name).seeds, "seed")
+        faults += [*_axes(scenario), *_gain_study(scenario)]
+        faults += [*_full_logs(scenario), *_cells(scenario)]
+    return faults
+
+
+def _broken(*rules: tuple[bool, str]) -> list[str]:
+    """Return what is said of the rules that are broken."""
+    return [text for is_broken, text in rules if is_broken]
+
+
+def _once(key: str, values: Sequence[Any], what: str) -> list[str]:
+    """Check that nothing stands twice in a list."""
+    twice = any(value in values[:number] for number, value in enumerate(values))
+    return _broken((twice, f"{key} = {list(values)}: every {what} once"))
+
+
+def _multiples(scenario: Scenario, unit_key: str, *keys: str) -> list[str]:
+    """Check that durations are 0 or multiples of another one."""
+    unit = attrgetter(unit_key)(scenario)
+    faults = []
+    for key in keys:
+        value = attrgetter(key)(scenario)
+        whole = round(value / unit)
+        if value != 0.0 and (whole < 1 or abs(value / unit - whole) >= 1e-9):
+            faults.append(f"{key} = {value}: must be a multiple of {unit_key} = {unit}")
+    return faults
 
 
 def _users(scenario: Scenario) -> list[str]:
-    if scenario.num_users <= scenario.radio.num_prb:
-        return []
-    return [
-        f"users.num_urllc + users.num_embb = {scenario.num_users}: at most radio.num_prb = "
-        f"{scenario.radio.num_prb}, since every user gets one PRB or more"
-    ]
-
-
-def _loads(scenario: Scenario) -> list[str]:
-    users, traffic = scenario.users, scenario.traffic
-    return [
-        f"{key} = {list(value)}: {len(value)} numbers, must be one number or {count}"
-        for key, value, count in (
-            ("traffic.urllc_offered_mbps", traffic.urllc_offered_mbps, users.num_urllc),
-            ("traffic.embb_offered_mbps", traffic.embb_offered_mbps, users.num_embb),
-        )
-        if isinstance(value, Sequence) and len(value) != count
-    ]
+    users = scenario.users
+    if scenario.num_users > scenario.radio.num_prb:
+        return [
+            f"users.num_urllc + users.num_embb = {scenario.num_users}: at most radio.num_prb = "
+            f"{scenario.radio.num_prb}, since every user gets one PRB or more"
+        ]
+    faults = []
+    for name, count in (("urllc", users.num_urllc), ("embb", users.num_embb)):
+        key = f"traffic.{name}_offered_mbps"
+        value = attrgetter(key)(scenario)
+        if isinstance(value, Sequence) and len(value) != count:
+            faults.append(
+                f"users.num_{name} = {count}: {key} has {len(value)} numbers, must have one or "
+                f"{count}"
+            )
+    return faults
 
 
 def _link_budget(scenario: Scenario) -> list[str]:
@@ -92,77 +116,54 @@ def _link_budget(scenario: Scenario) -> list[str]:
     scale_db = 20.0 * math.log10(1.0 if own is None else own)
     best_db = radio.tx_power_dbm - radio.noise_dbm + scale_db
     least_db = best_db + radio.path_loss.least_gain_db()
-    if least_db >= LEAST_SNR_DB and best_db <= GREATEST_SNR_DB:
-        return []
-    return [
-        f"radio.tx_power_dbm = {radio.tx_power_dbm}, radio.noise_dbm = {radio.noise_dbm}: the "
-        f"signal-to-noise ratio goes from {least_db:.6g} dB to {best_db:.6g} dB (Rayleigh scale, "
-        f"path loss and shadowing included), must stay within {LEAST_SNR_DB:g} dB to "
-        f"{GREATEST_SNR_DB:g} dB"
-    ]
-
-
-def _is_multiple(value: float, unit: float) -> bool:
-    ratio = value / unit
-    return ratio > 0.5 and abs(ratio - round(ratio)) < 1e-9
+    return _broken(
+        (
+            least_db < LEAST_SNR_DB or best_db > GREATEST_SNR_DB,
+            f"radio.tx_power_dbm = {radio.tx_power_dbm}, radio.noise_dbm = {radio.noise_dbm}: the "
+            f"signal-to-noise ratio goes from {least_db:.6g} dB to {best_db:.6g} dB (Rayleigh "
+            f"scale, path loss and shadowing included), must stay within {LEAST_SNR_DB:g} dB to "
+            f"{GREATEST_SNR_DB:g} dB",
+        )
+    )
 
 
 def _times(scenario: Scenario) -> list[str]:
-    substep = scenario.robot.substep_s
-    faults = [
-        f"{key} = {value}: must be a multiple of robot.substep_s = {substep}"
-        for key, value in (
-            ("radio.slot_s", scenario.radio.slot_s),
-            ("control.sampling_s", scenario.control.sampling_s),
-        )
-        if not _is_multiple(value, substep)
+    longest = scenario.max_delay_steps
+    return [
+        *_multiples(scenario, "robot.substep_s", "radio.slot_s", "control.sampling_s"),
+        *_multiples(scenario, "radio.slot_s", "robot.window_s"),
+        *_multiples(scenario, "control.sampling_s", "robot.window_s"),
+        *_broken(
+            (
+                longest > MAX_DELAY_STEPS,
+                f"control.max_delay_s = {scenario.control.max_delay_s}: {longest} samples of "
+                f"control.sampling_s, at most {MAX_DELAY_STEPS} (one gain is designed for each)",
+            )
+        ),
     ]
-    if not _is_multiple(scenario.robot.window_s, scenario.radio.slot_s):
-        faults.append(
-            f"robot.window_s = {scenario.robot.window_s}: must be a multiple of "
-            f"radio.slot_s = {scenario.radio.slot_s}"
-        )
-    if not _is_multiple(scenario.robot.window_s, scenario.control.sampling_s):
-        faults.append(
-            f"robot.window_s = {scenario.robot.window_s}: must be a multiple of "
-            f"control.sampling_s = {scenario.control.sampling_s}"
-        )
-    if (longest := scenario.max_delay_steps) > MAX_DELAY_STEPS:
-        faults.append(
-            f"control.max_delay_s = {scenario.control.max_delay_s}: {longest} samples of "
-            f"control.sampling_s, at most {MAX_DELAY_STEPS} (one gain is designed for each)"
-        )
-    return faults
 
 
 def _control(scenario: Scenario) -> list[str]:
-    control = scenario.control
-    if control.method == "predictor" and control.hold_samples:
-        return [
+    """Name the first reason why the method does not suit its loop."""
+    control, kind = scenario.control, scenario.loop_kind
+    return _broken(
+        (
+            control.method == "predictor" and control.hold_samples > 0,
             f"control.hold_samples = {control.hold_samples}: must be 0 with control.method = "
-            "'predictor' (a prediction over T samples is right for the delay T alone)"
-        ]
-    kind = scenario.loop_kind
-    if control.method == "razumikhin" and kind == "network":
-        return [
+            "'predictor' (a prediction over T samples is right for the delay T alone)",
+        ),
+        (
+            control.method == "razumikhin" and kind == "network",
             "control.method = 'razumikhin': needs control.loop = 'split' (a plant with an "
             "eigenvalue on the unit circle whose whole feedback is delayed has no such "
-            "certificate), or plant.A_d"
-        ]
-    if control.method in NETWORK_METHODS and kind != "network":
-        return [
+            "certificate), or plant.A_d",
+        ),
+        (
+            control.method in NETWORK_METHODS and kind != "network",
             f"control.method = {control.method!r}: needs control.loop = 'network' (it replaces "
-            "the whole feedback by one made for the delay), or a linear plant without A_d"
-        ]
-    return []
-
-
-def _models(scenario: Scenario) -> list[str]:
-    """List what the models themselves find."""
-    faults = []
-    for key in SECTIONS:
-        faults += _asked(key, model_at(scenario, key).faults, scenario)
-    return faults
+            "the whole feedback by one made for the delay), or a linear plant without A_d",
+        ),
+    )[:1]
 
 
 def _asked(key: str, ask: Callable[[Scenario], list[str]], scenario: Scenario) -> list[str]:
@@ -175,16 +176,15 @@ def _asked(key: str, ask: Callable[[Scenario], list[str]], scenario: Scenario) -
 
 def _own_policies(scenario: Scenario) -> list[str]:
     faults = []
-    taken = dict.fromkeys(UNTRAINED, "a scheduler")
-    taken |= dict.fromkeys(scenario.learned, "a learner")
+    taken = dict.fromkeys(UNTRAINED, "a scheduler") | dict.fromkeys(scenario.learned, "a learner")
     for name, policy in scenario.policies.items():
+        key = f"policies.{name}"
         if name in taken:
-            faults.append(f"policies.{name}: the name of {taken[name]}: must be another one")
+            faults.append(f"{key}: the name of {taken[name]}: must be another one")
         if isinstance(policy, ImportedPolicy):
-            faults += _import_faults(f"policies.{name}", policy)
+            faults += _import_faults(key, policy)
         else:
-            asked = _asked(f"policies.{name}", policy.faults, scenario)
-            faults += [f"policies.{name}: {fault}" for fault in asked]
+            faults += [f"{key}: {fault}" for fault in _asked(key, policy.faults, scenario)]
     return faults
 
 
@@ -210,62 +210,63 @@ def _import_faults(key: str, policy: ImportedPolicy) -> list[str]:
 
 
 def _learners(scenario: Scenario) -> list[str]:
-    faults = _learning(scenario, "learning", scenario.learning)
-    taken = {scenario.learning.algorithm: "learning.algorithm"}
+    own = scenario.learning
+    faults = _learning(scenario, "learning", own)
+    taken = {own.algorithm: "learning.algorithm"}
     taken |= dict.fromkeys(UNTRAINED, "a scheduler")
     taken |= dict.fromkeys(RESERVED_LEARNERS, "jobs of the study")
-    if taken[scenario.learning.algorithm] == "a scheduler":
-        faults.append(
-            f"learning.algorithm = {scenario.learning.algorithm}: the name of a scheduler"
-        )
+    if taken[own.algorithm] == "a scheduler":
+        faults.append(f"learning.algorithm = {own.algorithm}: the name of a scheduler")
     for name, learner in scenario.learners.items():
         if name in taken:
             faults.append(f"learners.{name}: the name of {taken[name]}: must be another one")
-        if learner.reward_scale != scenario.learning.reward_scale:
+        if learner.reward_scale != own.reward_scale:
             faults.append(
                 f"learners.{name}.reward_scale = {learner.reward_scale}: must be "
-                f"learning.reward_scale = {scenario.learning.reward_scale}, so that rewards compare"
+                f"learning.reward_scale = {own.reward_scale}, so that rewards compare"
             )
         faults += _learning(scenario, f"learners.{name}", learner)
     return faults
 
 
 def _learning(scenario: Scenario, section: str, learning: Learning) -> list[str]:
-    faults = _algorithm(section, learning)
-    if len(set(learning.seeds)) != len(learning.seeds):
-        faults.append(f"{section}.seeds = {list(learning.seeds)}: every seed once")
-    if learning.episodes % learning.num_envs:
-        faults.append(
-            f"{section}.episodes = {learning.episodes}: must be a multiple of "
-            f"{section}.num_envs = {learning.num_envs}"
-        )
     round_slots = learning.num_envs * learning.slots_per_episode
-    if learning.replay_capacity < round_slots:
-        faults.append(
-            f"{section}.replay_capacity = {learning.replay_capacity}: at least "
-            f"{section}.num_envs * {section}.slots_per_episode = {round_slots}"
-        )
-    if learning.observe_robots and not scenario.plant.has_pose:
-        faults.append(
-            f"{section}.observe_robots = true: must be false where plant.model = "
-            f"{scenario.plant.model}, whose robots have no position"
-        )
-    if learning.start == "drift_plus_penalty" and learning.algorithm == "ddpg":
-        faults.append(
-            f"{section}.start = drift_plus_penalty: must be pf or max_weight with "
-            f"{section}.algorithm = ddpg, whose actors need the gradient of the allocation"
-        )
-    if learning.batch_size > learning.replay_capacity:
-        faults.append(
-            f"{section}.batch_size = {learning.batch_size}: at most {section}.replay_capacity = "
-            f"{learning.replay_capacity}"
-        )
-    return faults
+    return [
+        *_algorithm(section, learning),
+        *_once(f"{section}.seeds", learning.seeds, "seed"),
+        *_broken(
+            (
+                learning.episodes % learning.num_envs > 0,
+                f"{section}.episodes = {learning.episodes}: must be a multiple of "
+                f"{section}.num_envs = {learning.num_envs}",
+            ),
+            (
+                learning.replay_capacity < round_slots,
+                f"{section}.replay_capacity = {learning.replay_capacity}: at least "
+                f"{section}.num_envs * {section}.slots_per_episode = {round_slots}",
+            ),
+            (
+                learning.observe_robots and not scenario.plant.has_pose,
+                f"{section}.observe_robots = true: must be false where plant.model = "
+                f"{scenario.plant.model}, whose robots have no position",
+            ),
+            (
+                learning.start == "drift_plus_penalty" and learning.algorithm == "ddpg",
+                f"{section}.start = drift_plus_penalty: must be pf or max_weight with "
+                f"{section}.algorithm = ddpg, whose actors need the gradient of the allocation",
+            ),
+            (
+                learning.batch_size > learning.replay_capacity,
+                f"{section}.batch_size = {learning.batch_size}: at most "
+                f"{section}.replay_capacity = {learning.replay_capacity}",
+            ),
+        ),
+    ]
 
 
 def _algorithm(section: str, learning: Learning) -> list[str]:
     """List an algorithm that nobody has registered, or keys that are not its own."""
-    name, parameters = learning.algorithm, learning.parameters
+    name, place, parameters = learning.algorithm, f"{section}.parameters", learning.parameters
     if name not in ALGORITHMS:
         return [f"{section}.algorithm = {name!r}: {ALGORITHMS.allowed()}"]
     found = None if name in BUILT_IN_ALGORITHMS else ALGORITHMS.loaded(name)
@@ -273,63 +274,28 @@ def _algorithm(section: str, learning: Learning) -> list[str]:
         return []  # an installed one that is imported when it trains
     kind = getattr(found, "Parameters", None)
     if kind is not None:
-        return _parameter_faults(kind, f"{section}.parameters", parameters)
-    if parameters:
-        return [f"{section}.parameters = {dict(parameters)}: must be {{}}: {name} has no own keys"]
+        try:
+            read_strictly(kind, parameters)
+        except ValidationError as error:
+            return own_faults(error, place, parameters, [field.name for field in fields(kind)])
+    elif parameters:
+        return [f"{place} = {dict(parameters)}: must be {{}}: {name} has no own keys"]
     return []
 
 
-def _parameter_faults(kind: type, place: str, values: Mapping[str, Any]) -> list[str]:
-    try:
-        read_strictly(kind, values)
-    except ValidationError as error:
-        return own_faults(error, place, values, [field.name for field in fields(kind)])
-    return []
-
-
-def _studies(scenario: Scenario) -> list[str]:
-    faults = []
-    held_out = {
-        "evaluate.seeds": scenario.evaluate.seeds,
-        "sweeps.seeds": scenario.sweeps.seeds,
-        "generalise.seeds": scenario.generalise.seeds,
-        "gain_study.seeds": scenario.gain_study.seeds,
-    }
-    for key, seeds in held_out.items():
-        if len(set(seeds)) != len(seeds):
-            faults.append(f"{key} = {list(seeds)}: every seed once")
-    faults.extend(_axes(scenario))
-    study = scenario.gain_study
-    faults.extend(
-        f"gain_study.violation_windows = {window}: at most "
-        f"gain_study.num_windows = {study.num_windows}"
-        for window in study.violation_windows
-        if window > study.num_windows
-    )
-    faults.extend(_gain_sweeps(scenario))
-    for key, (low, high) in (
-        ("gain_study.violation_delay_s", study.violation_delay_s),
-        ("gain_study.calm_delay_s", study.calm_delay_s),
-    ):
-        if low > high:
-            faults.append(f"{key} = [{low}, {high}]: the lower bound first")
-    return faults
-
-
-def _worlds(scenario: Scenario, names: Sequence[str]) -> list[str]:
-    """List durations that are no slots, and policies that nobody is or that stand twice."""
-    faults = []
-    slot_s = scenario.radio.slot_s
-    for name in names:
-        section = getattr(scenario, name)
-        for key, value in (("warmup_s", section.warmup_s), ("duration_s", section.duration_s)):
-            if value != 0.0 and not _is_multiple(value, slot_s):
-                faults.append(
-                    f"{name}.{key} = {value}: must be a multiple of radio.slot_s = {slot_s}"
+def _policies(scenario: Scenario, key: str, policies: tuple[str, ...]) -> list[str]:
+    """List policies that stand twice, or that are no learner, no scheduler, none of `policies`."""
+    known = [*scenario.learned, *untrained_names(scenario)]
+    faults = _once(key, policies, "policy")
+    for policy in policies:
+        if policy not in known:
+            fault = f"{policy} is no policy; allowed: {', '.join(known)}"
+            if policy in ALGORITHMS:
+                fault = (
+                    f"{policy} is not trained where learning.algorithm = "
+                    f"{scenario.learning.algorithm} (and learners has none of this name)"
                 )
-        if len(set(section.policies)) != len(section.policies):
-            faults.append(f"{name}.policies = {list(section.policies)}: every policy once")
-        faults.extend(_policies(scenario, f"{name}.policies", section.policies))
+            faults.append(f"{key} = {list(policies)}: {fault}")
     return faults
 
 
@@ -344,98 +310,86 @@ def _axes(scenario: Scenario) -> list[str]:
                 "study are called so"
             )
         for key, values in axis.vary.items():
-            if any(value in values[:number] for number, value in enumerate(values)):
-                faults.append(f"{place}.vary.{key} = {list(values)}: every value once")
-            if key == "robot.reference_file":
-                faults.append(
-                    f"{place}.vary.{key}: cannot be varied: its points are read but once (vary "
-                    "robot.reference)"
-                )
-            if key.partition(".")[0] not in SWEPT_SECTIONS:
-                faults.append(
-                    f"{place}.vary.{key}: must be a key of {', '.join(SWEPT_SECTIONS)} (what "
-                    "learners differ in stands under `learners`)"
-                )
+            varied = f"{place}.vary.{key}"
+            faults += [
+                *_once(varied, values, "value"),
+                *_broken(
+                    (
+                        key == "robot.reference_file",
+                        f"{varied}: cannot be varied: its points are read but once (vary "
+                        "robot.reference)",
+                    ),
+                    (
+                        key.partition(".")[0] not in SWEPT_SECTIONS,
+                        f"{varied}: must be a key of {', '.join(SWEPT_SECTIONS)} (what learners "
+                        "differ in stands under `learners`)",
+                    ),
+                ),
+            ]
         if isinstance(axis.policies, tuple):
-            if len(set(axis.policies)) != len(axis.policies):
-                faults.append(f"{place}.policies = {list(axis.policies)}: every policy once")
-            faults.extend(_policies(scenario, f"{place}.policies", axis.policies))
+            faults += _policies(scenario, f"{place}.policies", axis.policies)
+    return faults
+
+
+def _gain_study(scenario: Scenario) -> list[str]:
+    study = scenario.gain_study
+    faults = [
+        f"gain_study.violation_windows = {window}: at most "
+        f"gain_study.num_windows = {study.num_windows}"
+        for window in study.violation_windows
+        if window > study.num_windows
+    ]
+    for key in ("methods", "weight", "fixed_delay_s", "sampling_s"):
+        faults += _once(f"gain_study.{key}", getattr(study, key), "value")
+    position, heading = study.noise_position_m, study.noise_heading_rad
+    pairs = list(zip(position, heading, strict=False))
+    noise = f"gain_study.noise_position_m = {list(position)}"
+    faults += _broken(
+        (
+            len(position) != len(heading),
+            f"{noise}: {len(position)} numbers, must be as many as in "
+            f"gain_study.noise_heading_rad, {len(heading)}",
+        ),
+        (
+            len(set(pairs)) != len(pairs),
+            f"{noise}: every pair with gain_study.noise_heading_rad = {list(heading)} once",
+        ),
+    )
+    for key in ("violation_delay_s", "calm_delay_s"):
+        low, high = getattr(study, key)
+        if low > high:
+            faults.append(f"gain_study.{key} = [{low}, {high}]: the lower bound first")
     return faults
 
 
 def _full_logs(scenario: Scenario) -> list[str]:
-    evaluate, slot_s = scenario.evaluate, scenario.radio.slot_s
+    evaluate = scenario.evaluate
     total_s = evaluate.warmup_s + evaluate.duration_s
-    faults = []
-    if evaluate.full_logs > len(evaluate.seeds):
-        faults.append(
-            f"evaluate.full_logs = {evaluate.full_logs}: at most as many as evaluate.seeds, "
-            f"{len(evaluate.seeds)}"
-        )
-    if not _is_multiple(evaluate.full_log_s, slot_s):
-        faults.append(
-            f"evaluate.full_log_s = {evaluate.full_log_s}: must be a multiple of "
-            f"radio.slot_s = {slot_s}"
-        )
-    if evaluate.full_logs and evaluate.full_log_s > total_s + 1e-9:
-        faults.append(
-            f"evaluate.full_log_s = {evaluate.full_log_s}: at most evaluate.warmup_s + "
-            f"evaluate.duration_s = {total_s:g}"
-        )
-    return faults
-
-
-def _policies(scenario: Scenario, key: str, policies: tuple[str, ...]) -> list[str]:
-    """Policies that nobody is: no learner, no scheduler, none of `policies`."""
-    known = [*scenario.learned, *untrained_names(scenario)]
-    faults = []
-    for policy in policies:
-        if policy in ALGORITHMS and policy not in known:
-            faults.append(
-                f"{key} = {list(policies)}: {policy} is not trained where learning.algorithm = "
-                f"{scenario.learning.algorithm} (and learners has none of this name)"
+    return [
+        *_broken(
+            (
+                evaluate.full_logs > len(evaluate.seeds),
+                f"evaluate.full_logs = {evaluate.full_logs}: at most as many as evaluate.seeds, "
+                f"{len(evaluate.seeds)}",
             )
-        elif policy not in known:
-            faults.append(
-                f"{key} = {list(policies)}: {policy} is no policy; allowed: {', '.join(known)}"
+        ),
+        *_multiples(scenario, "radio.slot_s", "evaluate.full_log_s"),
+        *_broken(
+            (
+                evaluate.full_logs > 0 and evaluate.full_log_s > total_s + 1e-9,
+                f"evaluate.full_log_s = {evaluate.full_log_s}: at most evaluate.warmup_s + "
+                f"evaluate.duration_s = {total_s:g}",
             )
-    return faults
-
-
-def _gain_sweeps(scenario: Scenario) -> list[str]:
-    study = scenario.gain_study
-    faults = [
-        f"gain_study.{key} = {list(points)}: every value once"
-        for key, points in (
-            ("methods", study.methods),
-            ("weight", study.weight),
-            ("fixed_delay_s", study.fixed_delay_s),
-            ("sampling_s", study.sampling_s),
-        )
-        if len(set(points)) != len(points)
+        ),
     ]
-    position, heading = study.noise_position_m, study.noise_heading_rad
-    if len(position) != len(heading):
-        faults.append(
-            f"gain_study.noise_position_m = {list(position)}: {len(position)} numbers, must be as "
-            f"many as in gain_study.noise_heading_rad, {len(heading)}"
-        )
-    if len(set(zip(position, heading, strict=False))) != min(len(position), len(heading)):
-        faults.append(
-            f"gain_study.noise_position_m = {list(position)}: every pair with "
-            f"gain_study.noise_heading_rad = {list(heading)} once"
-        )
-    return faults
 
 
 def _cells(scenario: Scenario) -> list[str]:
-    cells = scenario.generalise.cells
+    cells = [list(cell) for cell in scenario.generalise.cells]
     faults = [
-        f"generalise.cells = {list(cell)}: {cell[0]} + {cell[1]} users, at most as many as its "
-        f"{cell[2]} PRBs"
-        for cell in cells
-        if cell[0] + cell[1] > cell[2]
+        f"generalise.cells = {[num_urllc, num_embb, num_prb]}: {num_urllc} + {num_embb} users, at "
+        f"most as many as its {num_prb} PRBs"
+        for num_urllc, num_embb, num_prb in cells
+        if num_urllc + num_embb > num_prb
     ]
-    if len(set(cells)) != len(cells):
-        faults.append(f"generalise.cells = {[list(cell) for cell in cells]}: every cell once")
-    return faults
+    return faults + _once("generalise.cells", cells, "cell")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from functools import reduce
+from operator import getitem
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -28,24 +30,14 @@ def describe(
     merged: Mapping[str, Any],
     sources: Sequence[tuple[Path, Mapping[str, Any]]],
 ) -> str:
-    """Return a line for every fault.
+    """Return a line for every fault that validation found.
 
-    Parameters
-    ----------
-    error
-        What validation found.
-    merged
-        The scenario on its defaults.
-    sources
-        Its files and what each holds: its own, those that it extends, and last the defaults.
+    `merged` is the scenario on its defaults; `sources` are its files and what each holds: its own,
+    those that it extends, and last the defaults.
     """
     lines = []
     for item in error.errors():
-        # Branches of a union append their own name to the location: cut back to what stands in the
-        # file.
-        location = item["loc"]
-        while location and not _holds(merged, location) and item["type"] != "missing":
-            location = location[:-1]
+        location = _place(item, merged)
         holders = [file for file, data in sources if _holds(data, location)]
         missing = item["type"] == "missing"
         source = sources[0][0] if missing else [*holders, sources[-1][0]][0]
@@ -60,13 +52,18 @@ def own_faults(
 
     `allowed` are the keys that the mapping may have.
     """
-    faults = []
-    for item in error.errors():
-        location = item["loc"]
-        while location and not _holds(values, location) and item["type"] != "missing":
-            location = location[:-1]
-        faults.append(f"{place}.{_fault(item, location, values, allowed)}")
+    faults = [
+        f"{place}.{_fault(item, _place(item, values), values, allowed)}" for item in error.errors()
+    ]
     return list(dict.fromkeys(faults))
+
+
+def _place(item: Any, values: Mapping[str, Any]) -> Location:
+    """Cut a location back to what stands in the file: branches of a union append their names."""
+    location: Location = item["loc"]
+    while location and not _holds(values, location) and item["type"] != "missing":
+        location = location[:-1]
+    return location
 
 
 def _fault(
@@ -89,19 +86,16 @@ def _fault(
 
 def _holds(data: Any, location: Location) -> bool:
     for part in location:
-        if isinstance(data, Mapping) and part in data:
-            data = data[part]
-        elif isinstance(data, list) and isinstance(part, int) and part < len(data):
-            data = data[part]
-        else:
+        if isinstance(data, list):
+            data = dict(enumerate(data))
+        if not isinstance(data, Mapping) or part not in data:
             return False
+        data = data[part]
     return True
 
 
 def _value_at(data: Any, location: Location) -> Any:
-    for part in location:
-        data = data[part]
-    return data
+    return reduce(getitem, location, data)
 
 
 def allowed_keys(location: Location, merged: Mapping[str, Any]) -> list[str]:

@@ -59,24 +59,18 @@ def _merge(base: Mapping[str, Any], overlay: Mapping[str, Any]) -> dict[str, Any
     """
     if "model" in base and overlay.get("model", base["model"]) != base["model"]:
         return dict(overlay)
-    merged = dict(base)
+    merged = {**base, **overlay}
     for key, value in overlay.items():
-        old = merged.get(key)
-        merged[key] = (
-            _merge(old, value)
-            if isinstance(old, dict) and isinstance(value, dict) and key != "vary"
-            else value
-        )
+        old = base.get(key)
+        if isinstance(old, dict) and isinstance(value, dict) and key != "vary":
+            merged[key] = _merge(old, value)
     return merged
 
 
 def find_scenario(name_or_path: str | Path) -> Path:
     """Path of a scenario given by the name of a shipped one or by path.
 
-    Raises
-    ------
-    ScenarioError
-        If there is no such file; the message lists the scenarios that exist.
+    ScenarioError if there is no such file; the message lists the scenarios that exist.
     """
     path = Path(name_or_path)
     shipped = {file.stem: file for file in sorted((CONFIG / "scenarios").glob("*.yaml"))}
@@ -120,9 +114,7 @@ def _with_points(merged: dict[str, Any], sources: _Sources) -> dict[str, Any]:
     name = robot.get("reference_file")
     if not isinstance(name, str) or robot.get("reference_points") is not None:
         return merged
-    path = next(
-        file for file, data in sources if "reference_file" in (data.get("robot") or {})
-    )  # the one that names it
+    path = next(file for file, data in sources if "reference_file" in (data.get("robot") or {}))
     axes = sweeps.get("axes")
     swept = [
         axis["vary"].get("robot.reference")
@@ -168,9 +160,7 @@ def _with_learners(merged: dict[str, Any]) -> dict[str, Any]:
     if not isinstance(base, dict) or not isinstance(learners, dict):
         return merged  # validation says what is wrong
     whole = {
-        name: _merge(base, {} if own is None else own)
-        if own is None or isinstance(own, dict)
-        else own
+        name: _merge(base, own or {}) if isinstance(own, dict | None) else own
         for name, own in learners.items()
     }
     return {**merged, "learners": whole}
@@ -188,12 +178,8 @@ def _with_hold(merged: dict[str, Any]) -> dict[str, Any]:
 def load_scenario(name_or_path: str | Path, *, defaults: Path | None = None) -> Scenario:
     """Load, merge and validate a scenario.
 
-    Parameters
-    ----------
-    name_or_path
-        Name of a shipped scenario or path of an overlay (or of a resolved scenario).
-    defaults
-        The file with every key; that of the package unless given.
+    `name_or_path` is the name of a shipped scenario, or the path of an overlay or of a resolved
+    one; `defaults` is the file with every key, that of the package unless given.
 
     Raises
     ------
@@ -219,32 +205,25 @@ def load_scenario(name_or_path: str | Path, *, defaults: Path | None = None) -> 
 def with_values(scenario: Scenario, values: Mapping[str, Any], where: str) -> Scenario:
     """Return a scenario with other values at dotted keys: a point of a sweep.
 
-    Parameters
-    ----------
-    values
-        Dotted key -> value, as it would stand in YAML.
-    where
-        Stands before every fault, such as the axis that varies them.
-
-    Raises
-    ------
-    ScenarioError
-        If there is no such key, or the values do not fit it or the rest of the scenario.
+    Values are as they would stand in YAML. ScenarioError if there is no such key, or the values do
+    not fit it or the rest of the scenario; `where`, such as the axis that varies them, stands
+    before every fault.
     """
     data = scenario_to_dict(scenario)
     for key, value in values.items():
         holder: Any = {}
         inner: Any = data
-        parts = key.split(".")
-        for place, part in enumerate(parts):
-            if not isinstance(inner, dict) or part not in inner:
-                known = ", ".join(inner) if isinstance(inner, dict) else "none"
+        passed: list[str] = []
+        for part in key.split("."):
+            known = list(inner) if isinstance(inner, dict) else []
+            if part not in known:
                 raise ScenarioError(
                     f"{where}.{key}: unknown key; allowed in "
-                    f"{'.'.join(parts[:place]) or 'a scenario'}: {known}"
+                    f"{'.'.join(passed) or 'a scenario'}: {', '.join(known) or 'none'}"
                 )
             holder, inner = inner, inner[part]
-        holder[parts[-1]] = value
+            passed.append(part)
+        holder[passed[-1]] = value
     given = ", ".join(f"{key} = {value!r}" for key, value in values.items())
     return _validate(data, [(Path(f"{where}: with {given}"), data)], swept=True)
 
@@ -292,23 +271,13 @@ def _load_plugins(merged: Mapping[str, Any], sources: _Sources) -> None:
 def load_resolved(text: str, origin: Path) -> tuple[Scenario, tuple[str, ...], str]:
     """Load a scenario that was written complete, perhaps by a version with fewer keys.
 
-    Parameters
-    ----------
-    text
-        Resolved YAML, from `scenario_to_yaml`.
-    origin
-        Where it comes from, for errors.
+    `text` is YAML from `scenario_to_yaml`; `origin` is where it comes from, for errors.
 
     Returns
     -------
     scenario, added, sha256
         The scenario, its old keys in their new places; the keys that it lacks, whose values are
         today's defaults; and the hash of what is written, as `scenario_sha256` had it then.
-
-    Raises
-    ------
-    ScenarioError
-        As `load_scenario`.
     """
     written = _parse_yaml(text, origin)
     sha256 = _sha256(written)
@@ -329,12 +298,13 @@ def _missing_keys(data: Mapping[str, Any]) -> list[str]:
     """Dotted keys that a scenario lacks; of a model, those that it has no default for as well."""
     missing = []
     known = section_keys()
-    for field in fields(Scenario):
-        section, keys = field.name, known.get(field.name, ())
-        if section not in data or not isinstance(data[section], Mapping):
-            missing += [f"{section}.{key}" for key in keys] or ([section] * (section not in data))
-        else:
-            missing += [f"{section}.{key}" for key in keys if key not in data[section]]
+    for section in (field.name for field in fields(Scenario)):
+        present = data.get(section)
+        if section in known:
+            holder = present if isinstance(present, Mapping) else {}
+            missing += [f"{section}.{key}" for key in known[section] if key not in holder]
+        elif section not in data:
+            missing.append(section)
     for place in SECTIONS:
         values: Any = data
         for part in place.split("."):

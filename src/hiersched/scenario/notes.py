@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from hiersched.models.model import SECTIONS
+from hiersched.models.model import SECTIONS, Model
 from hiersched.policies.find import ImportedPolicy
 from hiersched.scenario.fault_text import ScenarioError
 from hiersched.scenario.plugins import CONFIG
@@ -31,12 +31,9 @@ class ParameterNote:
 def parameter_notes(defaults: Path | None = None) -> list[ParameterNote]:
     """Read unit, origin and meaning of every key, from the comments of the defaults file.
 
-    Raises
-    ------
-    ScenarioError
-        If a key has no comment of the form ``# [unit] paper|assumed: meaning``.
+    ScenarioError if a key has none of the form ``# [unit] paper|assumed: meaning``.
     """
-    path = defaults if defaults is not None else CONFIG / "defaults.yaml"
+    path = defaults or CONFIG / "defaults.yaml"
     notes: list[ParameterNote] = []
     sections: list[tuple[int, str]] = []  # those that a line is in, and how far they are indented
     for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1):
@@ -59,23 +56,22 @@ def parameter_notes(defaults: Path | None = None) -> list[ParameterNote]:
 
 
 def scenario_notes(scenario: Scenario, defaults: Path | None = None) -> list[ParameterNote]:
-    """Return the note of every key that a scenario has.
+    """Return the note of every key that a scenario has; ScenarioError as from `parameter_notes`.
 
     The keys of models that are not the defaults' have theirs from the classes.
-
-    Raises
-    ------
-    ScenarioError
-        As `parameter_notes`.
     """
     notes = parameter_notes(defaults)
     for section in SECTIONS:
         places = [place for place, note in enumerate(notes) if _section(note.key) == section]
-        own = _model_notes(scenario, section, {notes[place].key: notes[place] for place in places})
-        notes[places[0] : places[-1] + 1] = own
+        own = _own_notes(section, model_at(scenario, section))
+        # What the defaults say of the keys of their own model stands.
+        if {note.key for note in own} != {notes[place].key for place in places}:
+            notes[places[0] : places[-1] + 1] = own
     axes = {f"sweeps.axes.{name}.vary" for name in scenario.sweeps.axes}
     notes = [
-        note for note in notes if not note.key.startswith("sweeps.axes.") or _kept(note.key, axes)
+        note
+        for note in notes
+        if not note.key.startswith("sweeps.axes.") or f"{_section(note.key)}.vary" in axes
     ]
     known = {note.key for note in notes}
     notes += [
@@ -84,29 +80,16 @@ def scenario_notes(scenario: Scenario, defaults: Path | None = None) -> list[Par
     ]
     for name, policy in scenario.policies.items():
         if not isinstance(policy, ImportedPolicy):
-            notes += [
-                ParameterNote(key=f"policies.{name}.{key}", **vars(note))
-                for key, note in policy.notes().items()
-            ]
+            notes += _own_notes(f"policies.{name}", policy)
     return notes
-
-
-def _kept(key: str, axes: set[str]) -> bool:
-    """Whether a key of an axis is one that the scenario has."""
-    return f"{_section(key)}.vary" in axes
 
 
 def _section(key: str) -> str:
     return key.rpartition(".")[0]
 
 
-def _model_notes(
-    scenario: Scenario, section: str, written: dict[str, ParameterNote]
-) -> list[ParameterNote]:
-    """Return the notes of a section's model; what the defaults say of its keys stands."""
-    model = model_at(scenario, section)
-    own = {
-        f"{section}.{key}": ParameterNote(key=f"{section}.{key}", **vars(note))
-        for key, note in model.notes().items()
-    }
-    return list(({**own, **written} if own.keys() == written.keys() else own).values())
+def _own_notes(place: str, model: Model) -> list[ParameterNote]:
+    """Return what the class of a model at a place says of its keys."""
+    return [
+        ParameterNote(key=f"{place}.{key}", **vars(note)) for key, note in model.notes().items()
+    ]

@@ -70,7 +70,8 @@ def converted(written: Mapping[str, Any]) -> dict[str, Any]:
         value = _at(data, old)
         if value is _ABSENT or isinstance(value, Mapping):  # a mapping is of the new form
             continue
-        _remove(data, old)
+        section, name = old.split(".")
+        del data[section][name]
         if old not in unused:
             _put(data, new, value)
     data.pop("linear_plant", None)
@@ -107,13 +108,6 @@ def _at(data: Any, key: str) -> Any:
             return _ABSENT
         data = data[part]
     return data
-
-
-def _remove(data: dict[str, Any], key: str) -> None:
-    *parents, name = key.split(".")
-    for part in parents:
-        data = data[part]
-    del data[name]
 
 
 def _put(data: dict[str, Any], key: str, value: Any) -> None:

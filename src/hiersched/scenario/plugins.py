@@ -19,12 +19,7 @@ def load_plugins(names: Sequence[str], files: Sequence[Path]) -> list[str]:
 
     A file is looked for beside the scenario's files, the first one's before the others'. A
     resolved scenario lies elsewhere, in the results or in a log: for it the working directory is
-    searched as well.
-
-    Returns
-    -------
-    list
-        Faults, as ``key = value: what is wrong``; empty when there is none.
+    searched as well. Returns faults, as ``key = value: what is wrong``.
     """
     faults = []
     try:

@@ -39,10 +39,7 @@ class ReferenceFileError(ValueError):
 def read_reference(path: Path) -> tuple[Point, ...]:
     """Read the points of a reference file; row 1 is the header.
 
-    Raises
-    ------
-    ReferenceFileError
-        If the file cannot be read, its header is another, or a value is no finite number.
+    ReferenceFileError if it cannot be read, its header is another, or a value is no finite number.
     """
     try:
         text = path.read_text(encoding="utf-8-sig")

@@ -43,22 +43,27 @@ LearnerName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
 AxisName = Annotated[str, Field(pattern=r"^[a-z][A-Za-z0-9_.]*$")]
 PolicyName = LearnerName
 """A scheduler, a learner or one of `policies`; `consistency` knows which there are."""
+LogProfile = Literal["full", "compact", "decisions"]
+
+
+class _Strict:
+    """What a scenario consists of is read strictly."""
+
+    __pydantic_config__ = STRICT
 
 
 @dataclass(frozen=True, kw_only=True)
-class Users:
+class Users(_Strict):
     """How many users each slice has."""
 
-    __pydantic_config__ = STRICT
     num_urllc: Count
     num_embb: Count
 
 
 @dataclass(frozen=True, kw_only=True)
-class Radio:
+class Radio(_Strict):
     """The cell's resource blocks and link budget; models of channel, report and link."""
 
-    __pydantic_config__ = STRICT
     slot_s: Positive
     bandwidth_hz: Positive
     num_prb: Annotated[int, Field(ge=1, le=512)]
@@ -71,10 +76,9 @@ class Radio:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Traffic:
+class Traffic(_Strict):
     """Arrivals, service, deadlines."""
 
-    __pydantic_config__ = STRICT
     packet_bits: Positive
     load: Positive
     load_ratio: Positive | None
@@ -91,10 +95,9 @@ class Traffic:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Objective:
+class Objective(_Strict):
     """Drift-plus-penalty objective, delay constraint and its multiplier."""
 
-    __pydantic_config__ = STRICT
     penalty_weight: NonNegative
     epsilon: Positive
     delay_exponent: Positive
@@ -105,10 +108,9 @@ class Objective:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Schedulers:
+class Schedulers(_Strict):
     """Constants of the classical schedulers."""
 
-    __pydantic_config__ = STRICT
     average_window_slots: Annotated[float, Field(ge=1)]
     log_rule_offset: Annotated[float, Field(ge=1)]
     log_rule_gain: Positive
@@ -119,10 +121,9 @@ class Schedulers:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Robot:
+class Robot(_Strict):
     """The teleoperated robots and their world."""
 
-    __pydantic_config__ = STRICT
     reference: Reference
     reference_file: str | None
     reference_points: tuple[tuple[float, float, float, float], ...] | None
@@ -147,10 +148,9 @@ class Robot:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Control:
+class Control(_Strict):
     """The lower level: sampling, weights and how gains are adjusted to the delay."""
 
-    __pydantic_config__ = STRICT
     sampling_s: Positive
     weight: Positive
     max_delay_s: Positive
@@ -163,10 +163,9 @@ class Control:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Learning:
+class Learning(_Strict):
     """The two agents and how they are trained."""
 
-    __pydantic_config__ = STRICT
     algorithm: LearnerName
     network: Literal["shared", "mlp"]
     start: Literal["pf", "max_weight", "drift_plus_penalty"]
@@ -202,10 +201,9 @@ class Learning:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Worlds:
+class Worlds(_Strict):
     """Held-out worlds in which policies run: a warm-up, then what is measured."""
 
-    __pydantic_config__ = STRICT
     seeds: Annotated[tuple[Seed, ...], NonEmpty]
     warmup_s: NonNegative
     duration_s: Positive
@@ -216,16 +214,14 @@ class Worlds:
 class Evaluation(Worlds):
     """Held-out worlds in which every policy is run."""
 
-    __pydantic_config__ = STRICT
     full_logs: Annotated[int, Field(ge=0)]
     full_log_s: Positive
 
 
 @dataclass(frozen=True, kw_only=True)
-class Axis:
+class Axis(_Strict):
     """What a sweep varies: every combination of the values of its keys."""
 
-    __pydantic_config__ = STRICT
     vary: Annotated[Mapping[str, Annotated[tuple[Any, ...], NonEmpty]], NonEmpty] = field(
         hash=False
     )
@@ -236,15 +232,13 @@ class Axis:
 class Sweeps(Worlds):
     """One axis varied at a time."""
 
-    __pydantic_config__ = STRICT
     axes: Mapping[AxisName, Axis] = field(hash=False)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Bound:
+class Bound(_Strict):
     """Slots of the evaluation whose exact optimum is computed."""
 
-    __pydantic_config__ = STRICT
     slots_per_log: Annotated[int, Field(ge=0)]
 
 
@@ -252,15 +246,13 @@ class Bound:
 class Generalise(Worlds):
     """Cells of other sizes, in which trained policies run as they are."""
 
-    __pydantic_config__ = STRICT
     cells: tuple[tuple[Count, Count, Count], ...]
 
 
 @dataclass(frozen=True, kw_only=True)
-class GainStudy:
+class GainStudy(_Strict):
     """Forced delays, nominal against adjusted gain: Table II and the sweeps around it."""
 
-    __pydantic_config__ = STRICT
     seeds: Annotated[tuple[Seed, ...], NonEmpty]
     num_robots: Count
     num_windows: Count
@@ -278,23 +270,21 @@ class GainStudy:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Log:
+class Log(_Strict):
     """What the MCAP files carry and how they are packed."""
 
-    __pydantic_config__ = STRICT
     compression: Literal["zstd", "none"]
     chunk_bytes: Annotated[int, Field(ge=4096)]
-    train_profile: Literal["full", "compact", "decisions"]
-    evaluate_profile: Literal["full", "compact", "decisions"]
-    sweep_profile: Literal["full", "compact", "decisions"]
+    train_profile: LogProfile
+    evaluate_profile: LogProfile
+    sweep_profile: LogProfile
     gain_study_profile: Literal["full", "robots"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Scenario:
+class Scenario(_Strict):
     """Everything that a run depends on; nothing is read from YAML later."""
 
-    __pydantic_config__ = STRICT
     name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")]
     plugins: tuple[str, ...]
     users: Users

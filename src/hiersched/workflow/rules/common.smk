@@ -73,6 +73,11 @@ def script(name):
     return SCRIPTS / f"{name}.py"
 
 
+def spec(stage, values, name=None):
+    """What a job depends on: values, and the code of its script, called like the stage unless named."""
+    return dependencies.stage_spec(stage, values, script(name or stage))
+
+
 # No job reads the resolved scenario that `rule resolve` writes: as an input it would make every job run whenever any
 # value changes, and as `ancient` input worse: Snakemake does not look at the parameters of a job whose ancient input
 # is about to be made. Jobs read the scenario file; if it is edited while they run, the next run repeats them.

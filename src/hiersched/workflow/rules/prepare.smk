@@ -30,9 +30,7 @@ for s in SCENARIOS:
             f"{folder(s)}/logs/resolve.log",
         threads: 1
         params:
-            spec=dependencies.stage_spec(
-                "resolve", dependencies.scenario_values(s), script("resolve")
-            ),
+            spec=spec("resolve", dependencies.scenario_values(s)),
             args=arguments("resolve", s),
         message:
             f"Writing the resolved scenario {s.name}"
@@ -52,9 +50,7 @@ for s in SCENARIOS:
                 f"{folder(s)}/benchmarks/gains_{design}.tsv"
             threads: 1
             params:
-                spec=dependencies.stage_spec(
-                    "gains", dependencies.gains_values(s, design), script("gains")
-                ),
+                spec=spec("gains", dependencies.gains_values(s, design)),
                 args=arguments("gains", s, "--design", design),
             message:
                 f"Designing gains of {s.name}: {design}"
@@ -76,9 +72,7 @@ for s in SCENARIOS:
                 f"{folder(s)}/benchmarks/stability.tsv"
             threads: 1
             params:
-                spec=dependencies.stage_spec(
-                    "stability", dependencies.stability_values(s), script("stability")
-                ),
+                spec=spec("stability", dependencies.stability_values(s)),
                 args=arguments("stability", s),
             message:
                 f"Finding the longest delays: {s.name}"

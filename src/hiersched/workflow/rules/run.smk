@@ -20,9 +20,7 @@ for s in SCENARIOS:
                     f"{folder(s)}/benchmarks/{e.name}_{group}.tsv"
                 threads: 1
                 params:
-                    spec=dependencies.stage_spec(
-                        f"{e.name}_{group}", dependencies.run_values(s, e, group), script(stage)
-                    ),
+                    spec=spec(f"{e.name}_{group}", dependencies.run_values(s, e, group), stage),
                     args=arguments(stage, s, "--experiment", e.name, "--group", group),
                 message:
                     f"Running {e.name} of {s.name}: {group}"
@@ -47,7 +45,7 @@ for s in SCENARIOS:
                 f"{folder(s)}/benchmarks/bound.tsv"
             threads: 1
             params:
-                spec=dependencies.stage_spec("bound", dependencies.bound_values(s), script("bound")),
+                spec=spec("bound", dependencies.bound_values(s)),
                 args=arguments("bound", s),
             message:
                 f"Computing exact optima of {s.name}"

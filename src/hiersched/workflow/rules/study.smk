@@ -12,6 +12,14 @@ def shown_spec(scenario, kind, thing):
     return dependencies.stage_spec(f"{kind} {thing.name}", values, thing.file, only=name)
 
 
+def shown_names(kind, thing):
+    """Files of a table or a figure: the one that the report shows, and others."""
+    if kind == "figure":
+        return [f"figures/{thing.name}.{end}" for end in ("svg", "png")]
+    ends = ("csv",) if thing.columns == () else ("csv", "md")
+    return [f"tables/{thing.name}.{end}" for end in ends]
+
+
 def show_arguments(scenario, kind, thing):
     given = ("--kind", kind, "--name", thing.name, "--module", thing.module)
     return arguments("show", scenario, *given)
@@ -34,70 +42,42 @@ for s in SCENARIOS:
                 f"{folder(s)}/benchmarks/measure_{group}.tsv"
             threads: 1
             params:
-                spec=dependencies.stage_spec(
-                    f"measure_{group}", dependencies.measure_values(s, group), script("measure")
-                ),
+                spec=spec(f"measure_{group}", dependencies.measure_values(s, group), "measure"),
                 args=arguments("measure", s, "--group", group),
             message:
                 f"Measuring the runs of {s.name}: {group}"
             shell:
                 "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
 
-    for thing in shown(TABLES, s).values():
+    for kind, things in {"table": TABLES, "figure": FIGURES}.items():
+        for thing in shown(things, s).values():
+            first, *others = shown_names(kind, thing)
 
-        rule:
-            name:
-                f"table_{thing.name}_{s.name}"
-            input:
-                inside(s, Study.sources(s, thing.reads)),
-            output:
-                csv=report(
-                    ensure(f"{folder(s)}/tables/{thing.name}.csv", non_empty=True),
-                    caption="../report/table.rst",
-                    category=s.name,
-                    subcategory="Tables",
-                    labels={"table": thing.name},
-                ),
-                markdown=([] if thing.columns == () else whole(s, [f"tables/{thing.name}.md"])),
-            log:
-                f"{folder(s)}/logs/table_{thing.name}.log",
-            threads: 1
-            params:
-                spec=shown_spec(s, "table", thing),
-                caption=thing.title,
-                args=show_arguments(s, "table", thing),
-            message:
-                f"Writing table {thing.name} of {s.name}"
-            shell:
-                "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
-
-    for thing in shown(FIGURES, s).values():
-
-        rule:
-            name:
-                f"figure_{thing.name}_{s.name}"
-            input:
-                inside(s, Study.sources(s, thing.reads)),
-            output:
-                svg=report(
-                    ensure(f"{folder(s)}/figures/{thing.name}.svg", non_empty=True),
-                    caption="../report/figure.rst",
-                    category=s.name,
-                    subcategory="Figures",
-                    labels={"figure": thing.name},
-                ),
-                png=whole(s, [f"figures/{thing.name}.png"]),
-            log:
-                f"{folder(s)}/logs/figure_{thing.name}.log",
-            threads: 1
-            params:
-                spec=shown_spec(s, "figure", thing),
-                caption=thing.title,
-                args=show_arguments(s, "figure", thing),
-            message:
-                f"Drawing figure {thing.name} of {s.name}"
-            shell:
-                "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
+            rule:
+                name:
+                    f"{kind}_{thing.name}_{s.name}"
+                input:
+                    inside(s, Study.sources(s, thing.reads)),
+                output:
+                    report(
+                        ensure(f"{folder(s)}/{first}", non_empty=True),
+                        caption=f"../report/{kind}.rst",
+                        category=s.name,
+                        subcategory=f"{kind.capitalize()}s",
+                        labels={kind: thing.name},
+                    ),
+                    whole(s, others),
+                log:
+                    f"{folder(s)}/logs/{kind}_{thing.name}.log",
+                threads: 1
+                params:
+                    spec=shown_spec(s, kind, thing),
+                    caption=thing.title,
+                    args=show_arguments(s, kind, thing),
+                message:
+                    f"{'Writing' if kind == 'table' else 'Drawing'} {kind} {thing.name} of {s.name}"
+                shell:
+                    "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
 
     for thing in shown(CLAIMS, s).values():
 
@@ -141,7 +121,7 @@ for s in SCENARIOS:
                 f"{folder(s)}/logs/claims.log",
             threads: 1
             params:
-                spec=dependencies.stage_spec("claims", s.name, script("claims")),
+                spec=spec("claims", s.name),
                 args=arguments("claims", s, "--names", ",".join(shown(CLAIMS, s))),
             message:
                 f"Putting the claims of {s.name} together"

@@ -20,9 +20,7 @@ for s in SCENARIOS:
             priority: 50  # most others wait for it
             threads: 1
             params:
-                spec=dependencies.stage_spec(
-                    f"train_{learner}", dependencies.train_values(s, learner), script("train")
-                ),
+                spec=spec(f"train_{learner}", dependencies.train_values(s, learner), "train"),
                 args=arguments("train", s, "--learner", learner),
             message:
                 f"Training all seeds of {s.name}: {learner}"
