@@ -77,7 +77,7 @@ from hiersched.scenario import ScenarioError, find_scenario, load_scenario
             "users: {num_urllc: 20}\ntraffic: {urllc_offered_mbps: 10.0}",
             ["users.num_urllc + users.num_embb = 30", "at most radio.num_prb = 25"],
         ),
-        ("users: {num_urllc: 9}", ["traffic.urllc_offered_mbps", "10 numbers", "one number or 9"]),
+        ("users: {num_urllc: 9}", ["traffic.urllc_offered_mbps", "10 numbers", "must have one or 9"]),
         (
             "radio: {path_loss: {model: macro, min_distance_m: 500.0}}",
             ["radio.path_loss.min_distance_m = 500.0", "radio.path_loss.cell_radius_m = 400"],
@@ -160,7 +160,7 @@ def test_too_few_loads_are_one_fault(load_text):
     with pytest.raises(ScenarioError) as caught:
         load_text("users: {num_urllc: 12}")
     (line,) = str(caught.value).splitlines()
-    assert line.endswith("10 numbers, must be one number or 12")
+    assert line.endswith("traffic.urllc_offered_mbps has 10 numbers, must have one or 12")
 
 
 def test_a_fault_of_the_defaults_names_the_defaults(tmp_path, config):
