@@ -77,7 +77,10 @@ from hiersched.scenario import ScenarioError, find_scenario, load_scenario
             "users: {num_urllc: 20}\ntraffic: {urllc_offered_mbps: 10.0}",
             ["users.num_urllc + users.num_embb = 30", "at most radio.num_prb = 25"],
         ),
-        ("users: {num_urllc: 9}", ["traffic.urllc_offered_mbps", "10 numbers", "must have one or 9"]),
+        (
+            "users: {num_urllc: 9}",
+            ["traffic.urllc_offered_mbps", "10 numbers", "must have one or 9"],
+        ),
         (
             "radio: {path_loss: {model: macro, min_distance_m: 500.0}}",
             ["radio.path_loss.min_distance_m = 500.0", "radio.path_loss.cell_radius_m = 400"],

@@ -34,6 +34,7 @@ from mcap.records import (
 )
 from numpy.typing import NDArray
 
+MAX_CHUNK_BYTES = 1 << 28  # a viewer holds whole chunks in memory
 MAGIC = b"\x89MCAP0\r\n"
 RECORD_START = struct.Struct("<BQ")  # opcode, length of what follows
 CHUNK_START = struct.Struct("<BQQQQI")  # opcode, length, first time, last time, size, CRC

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 import struct
+import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache, lru_cache
@@ -74,6 +75,15 @@ class TopicSchema:
     message: str
     descriptors: bytes
     layout: RecordLayout | None = None
+
+
+def topics_crc32(schemas: Mapping[str, TopicSchema]) -> str:
+    """Return a checksum of what a file says about its topics: names, channels and messages."""
+    crc = 0
+    for name, topic in sorted(schemas.items()):
+        head = f"{name} {topic.channel_id} {topic.message} ".encode()
+        crc = zlib.crc32(topic.descriptors, zlib.crc32(head, crc))
+    return f"{crc:08x}"
 
 
 @lru_cache(maxsize=64)

@@ -35,17 +35,25 @@ from hiersched.log.container import (
     FOOTER_BYTES,
     FOOTER_START,
     MAGIC,
+    MAX_CHUNK_BYTES,
     RECORD_START,
     attachment_index,
     chunk_names,
 )
 from hiersched.log.errors import LogError, reading
-from hiersched.log.layout import HEADER, RECORD_PREFIX_BYTES, TopicSchema, find_message
+from hiersched.log.layout import (
+    HEADER,
+    RECORD_PREFIX_BYTES,
+    TopicSchema,
+    find_message,
+    topics_crc32,
+)
 from hiersched.log.schema import (
     EVENTS_SCHEMA,
     EVENTS_TOPIC,
     METADATA_NAME,
     MODEL_FIELDS,
+    TOPICS_CRC,
     LogDims,
 )
 
@@ -55,6 +63,21 @@ _OPCODES: dict[Any, int] = {
     Metadata: Opcode.METADATA,
     Attachment: Opcode.ATTACHMENT,
 }
+_FREE = frozenset(
+    (
+        *(Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT, Opcode.METADATA),
+        *(Opcode.CHUNK, Opcode.DATA_END),
+    )
+)
+"""Records of a data section that can stand behind another one, in logs of ours."""
+_FOLLOWED_BY = {0: frozenset((Opcode.HEADER,)), Opcode.CHUNK: frozenset((Opcode.MESSAGE_INDEX,))}
+"""Those that others have to stand behind; 0 is the start of the file."""
+_SUMMARY = frozenset(
+    (
+        *(Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHUNK_INDEX),
+        *(Opcode.ATTACHMENT_INDEX, Opcode.METADATA_INDEX, Opcode.SUMMARY_OFFSET, Opcode.FOOTER),
+    )
+)
 
 
 @dataclass(frozen=True)
@@ -144,6 +167,11 @@ class LogFile:
         offset = index.chunk_start_offset
         if self._last_chunk[0] == offset:
             return self._last_chunk[1]
+        if index.uncompressed_size > MAX_CHUNK_BYTES:  # before anything is allocated for it
+            raise self.fail(
+                offset,
+                f"a chunk claims {index.uncompressed_size} bytes, more than {MAX_CHUNK_BYTES}",
+            )
         record = self.read(offset, index.chunk_length)
         names = chunk_names(index.compression, index.compressed_size)
         data = memoryview(record)[CHUNK_START.size + len(names) :]
@@ -228,6 +256,9 @@ class LogFile:
                 find_message(data, name)  # it has to be there
                 schema = TopicSchema(channel.id, name, data)
                 self.topics[channel.topic] = TopicIndex(schema, counts.get(channel.id, 0))
+        crc = topics_crc32({name: topic.schema for name, topic in self.topics.items()})
+        if self.metadata.get(TOPICS_CRC, crc) != crc:
+            raise self.fail(self.summary_start, "the topics do not match their checksum")
         by_id = {topic.schema.channel_id: topic for topic in self.topics.values()}
         events = self.topics.get(EVENTS_TOPIC)
         if not events or events.schema.message != EVENTS_SCHEMA or len(by_id) != len(channels):
@@ -266,35 +297,52 @@ class LogFile:
         """Go through the data section, record by record, as far as it goes.
 
         Returns entries as a summary has them, of chunks whose checksum is right alone; messages by
-        channel; and what could not be read: other chunks, and the place where the walk had to end.
+        channel; and what could not be read: records that are damaged or stand where none of their
+        kind can, and the place where the walk had to end.
         """
         found: list[Any] = []
         losses: list[LogError] = []
         counts: dict[int, int] = {}
-        offset = len(MAGIC)
+        offset, before = len(MAGIC), 0
         while offset != self.size:
             try:
                 opcode, length = RECORD_START.unpack(self.read(offset, RECORD_START.size))
-                if opcode in (Opcode.DATA_END, Opcode.FOOTER):
-                    break
-                if not Opcode.HEADER <= opcode <= Opcode.DATA_END:
-                    raise self.fail(offset, f"there is no record of kind {opcode}")
                 body = self.read(offset + RECORD_START.size, length)
-                with reading(self.path, offset, "a record"):
-                    entry = _entry(opcode, body, offset)
             except LogError as error:
                 end = min(offset, self.size)
                 losses.append(self.fail(end, f"the records end here: {error.what}"))
                 break
-            if isinstance(entry, ChunkIndex):
-                try:
-                    _count(entry, self.chunk_data(entry), counts)
-                except LogError as error:
-                    losses.append(error)
-                    entry = None
-            found.append(entry)
-            offset += RECORD_START.size + length
+            try:
+                if opcode not in _FOLLOWED_BY.get(before, _FREE):
+                    raise self.fail(offset, f"a record of kind {opcode} cannot stand here")
+                if opcode == Opcode.DATA_END:
+                    losses += self._behind(offset + RECORD_START.size + length)
+                    break
+                with reading(self.path, offset, "a record"):
+                    entry = _entry(opcode, body, offset)
+                if isinstance(entry, ChunkIndex):
+                    content = self.chunk_data(entry)
+                    with reading(self.path, offset, "a chunk"):
+                        _count(entry, content, counts)
+                found.append(entry)
+            except LogError as error:
+                losses.append(self.fail(offset, f"{error.what}; {length} bytes are skipped"))
+            offset, before = offset + RECORD_START.size + length, opcode
         return found, counts, losses
+
+    def _behind(self, offset: int) -> list[LogError]:
+        """Say what lies behind the data section and is no summary, or a part of one."""
+        opcode = 0
+        while offset < self.size and opcode != Opcode.FOOTER:
+            start = min(RECORD_START.size, self.size - offset)
+            if start < RECORD_START.size:
+                return []
+            opcode, length = RECORD_START.unpack(self.read(offset, start))
+            if opcode not in _SUMMARY:
+                return [self.fail(offset, f"{self.size - offset} bytes that are no summary")]
+            offset += RECORD_START.size + length
+        rest = self.size - offset - len(MAGIC)
+        return [self.fail(offset, f"{rest} bytes behind the end")] if rest > 0 else []
 
 
 def _of(records: list[Any], kind: type[T]) -> list[T]:
@@ -303,8 +351,14 @@ def _of(records: list[Any], kind: type[T]) -> list[T]:
 
 def _entry(opcode: int, body: bytes, offset: int) -> Any:
     """Make of a record what the summary would say about it; None if it would say nothing."""
-    stream = ReadDataStream(BytesIO(body))
-    length = RECORD_START.size + len(body)
+    bytes_of = BytesIO(body)
+    entry = _read_entry(opcode, ReadDataStream(bytes_of), offset, RECORD_START.size + len(body))
+    if opcode not in (Opcode.HEADER, Opcode.MESSAGE_INDEX) and bytes_of.tell() != len(body):
+        raise ValueError(f"it has {len(body) - bytes_of.tell()} bytes too many")
+    return entry
+
+
+def _read_entry(opcode: int, stream: ReadDataStream, offset: int, length: int) -> Any:
     if opcode == Opcode.SCHEMA:
         return Schema.read(stream)
     if opcode == Opcode.CHANNEL:
@@ -330,8 +384,19 @@ def _entry(opcode: int, body: bytes, offset: int) -> Any:
 
 
 def _count(chunk: ChunkIndex, content: bytes | memoryview, counts: dict[int, int]) -> None:
-    """Note the channel of a chunk and, where messages have one size, how many it has."""
-    _, length, channel_id, *_ = HEADER.unpack_from(content)
-    messages = len(content) // (RECORD_PREFIX_BYTES + length)
-    counts[channel_id] = counts.get(channel_id, 0) + messages
+    """Note the channel of a chunk and how many messages it has; ValueError if its times differ."""
+    place, times, channels = 0, [], set()
+    while place < len(content):
+        opcode, length, channel_id, _, log_time, _ = HEADER.unpack_from(content, place)
+        if opcode != Opcode.MESSAGE:
+            raise ValueError(f"a record of kind {opcode} in a chunk")
+        times.append(log_time)
+        channels.add(channel_id)
+        place += RECORD_PREFIX_BYTES + length
+    if place != len(content) or len(channels) != 1:
+        raise ValueError(f"messages of channels {sorted(channels)} in a chunk")
+    if (chunk.message_start_time, chunk.message_end_time) != (min(times), max(times)):
+        raise ValueError("a chunk whose times are not those of its messages")
+    (channel_id,) = channels
+    counts[channel_id] = counts.get(channel_id, 0) + len(times)
     chunk.message_index_offsets[channel_id] = 0  # all that a reader of ours asks for

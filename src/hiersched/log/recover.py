@@ -12,9 +12,11 @@ import numpy as np
 from mcap.records import ChunkIndex
 from numpy.typing import NDArray
 
+from hiersched.log import schema
 from hiersched.log.errors import LogError
 from hiersched.log.logfile import LogFile
 from hiersched.log.reader import LogReader
+from hiersched.log.schema import TOPICS_CRC
 from hiersched.log.writer import LogWriter
 
 _BLOCK_SLOTS = 4096
@@ -82,9 +84,25 @@ def _load(file: LogFile) -> list[str]:
         file.load(whole=False)
     except LogError as complaint:
         losses = file.load_without_summary()
+        if TOPICS_CRC not in file.metadata and not _are_own(file):
+            what = "nothing vouches for its topics and fields: an earlier version wrote the log"
+            losses.append(file.fail(0, what))
         if not any(topic.chunks for topic in file.topics.values()):
             losses.append(complaint)
     return [f"at byte {loss.offset}: {loss.what}" for loss in losses]
+
+
+def _are_own(file: LogFile) -> bool:
+    """Whether all topics are as this version describes them."""
+    own = {schema.TOPICS[name].message: schema.descriptors() for name in schema.TOPICS}
+    own[schema.EVENTS_SCHEMA] = schema.event_descriptors()
+    topics = {name: topic.schema for name, topic in file.topics.items()}
+    names = {t.message: name for name, t in schema.TOPICS.items()}
+    return all(
+        own.get(topic.message) == topic.descriptors
+        and names.get(topic.message, schema.EVENTS_TOPIC) == name
+        for name, topic in topics.items()
+    )
 
 
 def _drop_unreadable(file: LogFile) -> list[str]:

@@ -27,6 +27,7 @@ SCHEMA_VERSION = 1  # for people: readers go by the descriptors in a file
 LIBRARY = f"hiersched-log/{SCHEMA_VERSION}"  # fixed: a version of NumPy or mcap would change bytes
 METADATA_NAME = "hiersched"
 MODEL_FIELDS = "model_fields"  # key of the metadata: what the numbers of models are
+TOPICS_CRC = "topics_crc32"  # key of the metadata: checksum of the topics, if the log has one
 MODELS_TOPIC = "/models"  # the one topic that only some scenarios have
 EVENTS_TOPIC = "/events"
 EVENTS_SCHEMA = "foxglove.Log"  # a message that viewers know; of its fields we write the first four

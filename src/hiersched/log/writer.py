@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hiersched.core.fields import PROFILES, STORED_TOPICS, fields_from_text
 from hiersched.log import schema
-from hiersched.log.container import Container
+from hiersched.log.container import MAX_CHUNK_BYTES, Container
 from hiersched.log.events import Event, encode_event
 from hiersched.log.layout import (
     RecordLayout,
@@ -25,6 +25,7 @@ from hiersched.log.layout import (
     find_message,
     raw_columns,
     record_layout,
+    topics_crc32,
 )
 from hiersched.log.reader import LogReader
 from hiersched.log.schema import (
@@ -34,6 +35,7 @@ from hiersched.log.schema import (
     METADATA_NAME,
     MODEL_FIELDS,
     SCHEMA_VERSION,
+    TOPICS_CRC,
     LogDims,
     Topic,
 )
@@ -42,7 +44,6 @@ PROTO_FILE = "hiersched.proto"
 """Attachment of every log: the schema as text, with units and meanings."""
 
 COMPRESSIONS = ("zstd", "none")
-MAX_CHUNK_BYTES = 1 << 28  # a viewer holds whole chunks in memory
 MAX_SLOT = 1 << 32  # the sequence number of a message has 32 bits
 
 
@@ -185,12 +186,13 @@ class LogWriter:
             **{name: str(size) for name, size in asdict(dims).items()},
             "profile": profile,
         }
-        text = _full_metadata(own, metadata or {})
         files = dict(attachments or {})
         if like is None:
             files[PROTO_FILE] = schema.proto_source().encode()
         topics = tuple(schema.topics_in(profile, dims.num_model_values).values())
         schemas = like.schemas() if like else _own_schemas(topics, dims, profile)
+        own[TOPICS_CRC] = topics_crc32(schemas)
+        text = _full_metadata(own, metadata or {})
         self._events_id = schemas[EVENTS_TOPIC].channel_id
         self._buffers = [
             _Buffer(topic.channel_id, topic.layout, slot_ns, chunk_bytes, name in STORED_TOPICS)
@@ -338,7 +340,7 @@ def _full_metadata(own: dict[str, str], given: Mapping[str, str]) -> dict[str, s
     for key, value in given.items():
         if not isinstance(value, str):
             raise TypeError(f"metadata {key} is {value!r}; allowed: a string")
-        if own.get(key, value) != value:
+        if key != TOPICS_CRC and own.get(key, value) != value:
             raise ValueError(f"metadata {key} is {value!r}, but the log has {own[key]!r}")
     if num_values := int(own["num_model_values"]):
         try:
