@@ -66,7 +66,8 @@ def test_every_bit_comes_back(
     assert content["metadata"] == {
         "scenario": "test", "seed": "1", "policy": "pf", "schema_version": "1", "profile": "full",
         "num_urllc": "3", "num_embb": "2", "num_prb": "7", "slot_ns": str(SLOT_NS),
-        "topics_crc32": content["metadata"]["topics_crc32"], "num_states": "5", "num_inputs": "2", "num_normals": "5", **models,
+        "topics_crc32": content["metadata"]["topics_crc32"],
+        "num_states": "5", "num_inputs": "2", "num_normals": "5", **models,
     }  # fmt: skip
     assert set(content["files"]) == {"scenario.yaml", "policy.pt", "hiersched.proto"}
     assert content["files"]["scenario.yaml"] == b"name: test\n"
