@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 
@@ -109,3 +110,26 @@ def test_with_equal_actions_the_environment_is_proportional_fair(scenario, gains
         info = info.get("final_info", info)
         np.testing.assert_array_equal(info["prb_count"], record.num_prb[:, slot])
         np.testing.assert_array_equal(info["cost"], record.late_packets[:, slot, :3].sum(-1))
+
+
+def test_steps_that_cannot_be_each_say_why(scenario, gains):
+    """Before the first reset, of another shape, past the end."""
+    users, slots = scenario.num_users, scenario.learning.slots_per_episode
+    env = SlicingEnv(scenario, gains)
+    with pytest.raises(ResetNeeded, match="the first episode has not begun: call reset first"):
+        env.step(np.zeros(users, np.float32))
+    env.reset(seed=1)
+    for wrong in (np.zeros(users + 1), np.zeros((1, users)), np.float32(0.0)):
+        with pytest.raises(ValueError, match=rf"actions: shape \(.*\), must be \(1, {users}\)"):
+            env.step(wrong)
+    with pytest.raises(ValueError, match=r"actions: must lie in \[-1, 1\]"):
+        env.step(np.full(users, np.nan))
+    for _ in range(slots):
+        *_, truncated, _ = env.step(np.zeros(users))
+    assert truncated
+    with pytest.raises(ResetNeeded, match=f"the episode of {slots} slots is over: call reset"):
+        env.step(np.zeros(users))
+    both = SlicingParallelEnv(scenario, gains)
+    both.reset(seed=1)
+    with pytest.raises(ValueError, match="actions of urllc: must be of urllc, embb"):
+        both.step({"urllc": np.zeros(3)})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from hiersched.core.randomness import world_key
@@ -65,6 +66,11 @@ class EpisodeWorlds:
         self._next += self._count
         return keys
 
+    def require_episode(self) -> None:
+        """Raise ResetNeeded if no episode has begun."""
+        if self._next == 0:
+            raise ResetNeeded("step: the first episode has not begun: call reset first")
+
 
 class SlotLoop:
     """Episodes of a fixed length in E worlds; an action is a number in [-1, 1] for every user.
@@ -124,8 +130,18 @@ class SlotLoop:
     def step(self, actions: NDArray[np.floating]) -> NDArray[np.float32]:
         """Run one slot under actions (E, U), to be found in `record`; returns the next features.
 
-        ValueError if an action is outside [-1, 1] or not a number.
+        ValueError if the actions have another shape, or one is outside [-1, 1] or not a number;
+        ResetNeeded past the end of an episode.
         """
+        if self.finished:
+            slots = self.simulator.num_slots
+            raise ResetNeeded(f"step: the episode of {slots} slots is over: call reset")
+        wanted = self.simulator.state.weight.shape
+        if np.shape(actions) != wanted:
+            raise ValueError(
+                f"actions: shape {np.shape(actions)}, must be {wanted}: a number for every user of "
+                "every world"
+            )
         # One comparison that is false for NaN too.
         if not (np.abs(actions) <= 1.0).all():
             raise ValueError("actions: must lie in [-1, 1]")

@@ -79,7 +79,10 @@ class SlicingParallelEnv(ParallelEnv):
         dict[str, bool],
         dict[str, dict[str, Any]],
     ]:
-        """Run one slot under both agents' actions."""
+        """Run one slot under both agents' actions; errors are those of `SlotLoop.step`."""
+        self._worlds.require_episode()
+        if set(actions) != set(AGENTS):
+            raise ValueError(f"actions of {', '.join(actions)}: must be of {', '.join(AGENTS)}")
         features = self._loop.step(np.concatenate([actions[agent] for agent in AGENTS])[None])
         info = {name: v[0] for name, v in slot_info(self._loop.record, self._scenario).items()}
         rewards = {agent: float(info[f"reward_{agent}"]) for agent in AGENTS}

@@ -42,6 +42,7 @@ class SlicingEnv(gymnasium.Env):
         self, action: NDArray[np.floating]
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
         """Run one slot; the slot limit is truncation."""
+        self._worlds.require_episode()
         features = self._loop.step(np.asarray(action)[None])
         info = {name: v[0] for name, v in slot_info(self._loop.record, self._scenario).items()}
         reward = 0.5 * float(info["reward_urllc"] + info["reward_embb"])

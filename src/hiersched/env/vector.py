@@ -91,6 +91,7 @@ class SlicingVectorEnv(VectorEnv):
         dict[str, Any],
     ]:
         """Run one slot of all worlds."""
+        self._worlds.require_episode()
         features = self._loop.step(actions)
         info: dict[str, Any] = dict(slot_info(self._loop.record, self._scenario))
         reward = 0.5 * (info["reward_urllc"] + info["reward_embb"])
