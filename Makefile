@@ -21,7 +21,7 @@ RUN := env PATH="$(BIN):$$PATH" OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: oldest help install paper smoke readme docs gains test lint format bench bench-short clean distclean
+.PHONY: oldest help install paper smoke readme docs gains test nightly lint format bench bench-short clean distclean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-11s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -39,11 +39,9 @@ $(STAMP): constraints.txt pyproject.toml
 
 paper: $(STAMP)  ## every figure and table of the paper (results/paper)
 	$(RUN) snakemake --cores $(CORES) --config scenarios='[paper]'
-	@echo "Figures: results/paper/figures    tables: results/paper/tables"
 
 smoke: $(STAMP)  ## the same pipeline, small enough for a few minutes (results/smoke)
 	$(RUN) snakemake --cores $(CORES) --config scenarios='[smoke]'
-	@echo "Figures: results/smoke/figures    tables: results/smoke/tables"
 
 readme: $(STAMP)  ## write the verdicts of results/paper into the README
 	$(RUN) python src/hiersched/workflow/scripts/readme.py --results results/paper
@@ -54,8 +52,11 @@ docs: $(STAMP)  ## write the generated parts of the documents, and the JSON sche
 gains: $(STAMP)  ## design the gains that the package ships anew
 	$(RUN) python src/hiersched/workflow/scripts/ship_gains.py
 
-test: $(STAMP)  ## the tests
-	$(RUN) python -m pytest -n $(CORES) --dist loadfile
+test: $(STAMP)  ## the tests, in about two minutes
+	$(RUN) python -m pytest -n $(CORES) --dist worksteal
+
+nightly: $(STAMP)  ## the tests that take longer: fuzzing, kills, tutorials, whole studies
+	$(RUN) python -m pytest -n $(CORES) --dist worksteal -m nightly
 
 lint: $(STAMP)  ## style, types, import directions, workflow format
 	$(RUN) ruff check .
