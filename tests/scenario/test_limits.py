@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from hiersched.cli import main
 from hiersched.scenario import ScenarioError, load_scenario
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -41,3 +42,59 @@ def test_defaults_are_those_of_the_package(tmp_path, monkeypatch):
     assert load_scenario(lone).radio.num_prb == 25
     with pytest.raises(ScenarioError, match="a folder"):
         load_scenario(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("radio: {bandwidth_hz: 1.0e-40}", "radio.bandwidth_hz = 1e-40: must be 0, or from 1e-12"),
+        ("radio: {bandwidth_hz: 1.0e-3}", "4e-05 Hz a PRB, must be 1 to 1e+11 Hz"),
+        ("robot: {speed_mps: 1.0e+40}", "robot.speed_mps = 1e+40: must be 0, or from 1e-12"),
+        (
+            "robot: {substep_s: 1.0e-9}",
+            "2e+07 substeps in a slot or a control sample, at most 10000",
+        ),
+        ("log: {chunk_bytes: 1000000000}", "log.chunk_bytes = 1000000000: must be less than"),
+        ("traffic: {arrivals: {batch_packets: 2000000}}", "must be below 1048576, since arrivals"),
+        ("evaluate: {duration_s: 1.0e+7}", "10 worlds of 1000002000 slots: takes "),
+        ("evaluate: {seeds: [1], duration_s: 1.0e+9, full_logs: 0}", "GiB of memory, this machine"),
+        ("learning: {replay_capacity: 100000000000}", "learner ddpg: 10 seeds: takes "),
+        ("users: {num_urllc: 1000000000}", "at most radio.num_prb = 25"),
+        (
+            "control: {sampling_s: 010}",
+            "YAML reads 010 as 8, to the base 8: write 8, or quotes (line 1,",
+        ),
+        (
+            "control: {sampling_s: 1:1}",
+            "YAML reads 1:1 as 61, to the base 60: write 61, or quotes (line 1,",
+        ),
+        ("robot: {speed_mps: 1.0e-9}", "no gain can be designed for this plant"),
+        (
+            "sweeps: {axes: {big: {vary: {traffic.load: [{0}], radio.tx_power_dbm: [{0}]}}}}".replace(
+                "{0}", ", ".join(f"{0.5 + 0.01 * i:g}" for i in range(40))
+            ),
+            "1600 points, must be at most 1000",
+        ),
+    ],
+)
+def test_what_no_machine_could_run_is_refused_by_check(tmp_path, capsys, text, words):
+    path = tmp_path / "mine.yaml"
+    path.write_text(f"{text}\n", encoding="utf-8")
+    assert main(["scenario", "check", str(path)]) == 2
+    message = capsys.readouterr().err
+    assert words in message
+    assert message.startswith(f"hiersched: {path}: ")
+
+
+def test_check_warns_where_service_keeps_arrivals_away(tmp_path, capsys):
+    """1 ms slots with the defaults: a served packet keeps 6.1 others from arriving."""
+    path = tmp_path / "mine.yaml"
+    text = "radio: {slot_s: 1.0e-3}\nrobot: {substep_s: 1.0e-3}\n"
+    path.write_text(text, encoding="utf-8")
+    assert main(["scenario", "check", str(path)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[1].startswith("offered: URLLC 159.6 and eMBB 209 Mbit/s; ")
+    assert "the cell carries about 433.7 Mbit/s: 85 %" in lines[1]
+    assert lines[2].startswith("warning: traffic.arrivals: for every packet that a URLLC user")
+    assert main(["scenario", "check", "paper"]) == 0
+    assert "warning" not in capsys.readouterr().out

@@ -14,6 +14,7 @@ from hiersched.models.model import num_model_values
 from hiersched.policies.features import num_features
 from hiersched.scenario import Scenario, ScenarioError, find_scenario, load_scenario
 from hiersched.scenario.schema import Learning
+from hiersched.simulator.loop_gains import plant_of
 from hiersched.simulator.record import SlotLayout
 
 COPIES = 1.5
@@ -32,13 +33,27 @@ def load_study(name_or_path: str | Path) -> Scenario:
     scenario = load_scenario(name_or_path)
     try:
         experiments(scenario)
-        if faults := memory_faults(scenario):
+        if faults := [*memory_faults(scenario), *design_faults(scenario)]:
             raise ScenarioError("\n".join(faults))
     except ScenarioError as error:
         path = find_scenario(name_or_path)
         lines = [f"{path}: {line}" for line in str(error).splitlines()]
         raise ScenarioError("\n".join(lines)) from error
     return scenario
+
+
+def design_faults(scenario: Scenario) -> list[str]:
+    """Say at which points no gain can be designed for the plant."""
+    faults = []
+    for experiment in experiments(scenario).values():
+        for point in experiment.points:
+            try:
+                with np.errstate(all="ignore"):
+                    plant_of(point.scenario)
+            except (ValueError, ArithmeticError) as error:
+                where = f"{experiment.name} {point.value}".rstrip()
+                faults.append(f"{where}: no gain can be designed for this plant: {error}")
+    return faults
 
 
 def slot_bytes(scenario: Scenario) -> int:

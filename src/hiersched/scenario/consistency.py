@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from dataclasses import fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, fields
 from importlib import import_module
 from inspect import signature
 from operator import attrgetter
@@ -23,7 +23,12 @@ from hiersched.scenario.schema import Learning, Scenario, model_at
 LEAST_SNR_DB = -80.0
 """Below it, a PRB in a deep fade could carry exactly 0 bit/s, and no logarithm of a rate exists."""
 GREATEST_SNR_DB = 300.0
+LEAST, GREATEST = 1e-12, 1e12
+"""Numbers of a scenario, in SI units or those of their keys."""
+LEAST_PRB_HZ, GREATEST_PRB_HZ = 1.0, 1e11
+"""Rates are float32, in Mbit/s."""
 MAX_DELAY_STEPS = 200
+MAX_SUBSTEPS = 10_000
 SWEPT_SECTIONS = (
     *("users", "radio", "traffic", "objective", "schedulers"),
     *("robot", "plant", "control", "policies"),
@@ -45,15 +50,19 @@ def inconsistencies(scenario: Scenario, *, swept: bool = False) -> list[str]:
 
     A `swept` scenario is a point of a sweep: nothing else of the study runs in it.
     """
-    if unfit := _users(scenario):  # the others would form arrays of any size
-        return unfit
+    if faults := _magnitudes(asdict(scenario)):
+        return faults
+    unfit = _users(scenario)
+    if scenario.num_users > scenario.radio.num_prb:
+        return unfit  # the others would form arrays of any size
     faults = [
+        *unfit,
         *_link_budget(scenario),
         *_times(scenario),
         *_control(scenario),
         *reference_faults(scenario, swept=swept),
     ]
-    for key in SECTIONS:
+    for key in () if unfit else SECTIONS:  # they read a load of each user
         faults += _asked(key, model_at(scenario, key).faults, scenario)
     faults += [*_own_policies(scenario), *_learners(scenario)]
     for name in ("sweeps",) if swept else ("evaluate", "sweeps", "generalise"):
@@ -65,6 +74,22 @@ def inconsistencies(scenario: Scenario, *, swept: bool = False) -> list[str]:
         faults += [*_axes(scenario), *_gain_study(scenario)]
         faults += [*_full_logs(scenario), *_cells(scenario)]
     return faults
+
+
+def _magnitudes(data: Any, place: str = "") -> list[str]:
+    """List numbers that no quantity of a cell or a robot has: their products may overflow."""
+    if isinstance(data, Mapping | list | tuple):
+        items = data.items() if isinstance(data, Mapping) else enumerate(data)
+        return [
+            fault
+            for key, value in items
+            for fault in _magnitudes(value, f"{place}.{key}".lstrip("."))
+        ]
+    if isinstance(data, bool) or not isinstance(data, int | float):
+        return []
+    if data == 0 or not math.isfinite(data) or LEAST <= abs(data) <= GREATEST:
+        return []
+    return [f"{place} = {data}: must be 0, or from {LEAST:g} to {GREATEST:g} in magnitude"]
 
 
 def _broken(*rules: tuple[bool, str]) -> list[str]:
@@ -116,29 +141,41 @@ def _link_budget(scenario: Scenario) -> list[str]:
     scale_db = 20.0 * math.log10(1.0 if own is None else own)
     best_db = radio.tx_power_dbm - radio.noise_dbm + scale_db
     least_db = best_db + radio.path_loss.least_gain_db()
+    prb_hz = radio.bandwidth_hz / radio.num_prb
     return _broken(
+        (
+            not LEAST_PRB_HZ <= prb_hz <= GREATEST_PRB_HZ,
+            f"radio.bandwidth_hz = {radio.bandwidth_hz}: {prb_hz:.6g} Hz a PRB, must be "
+            f"{LEAST_PRB_HZ:g} to {GREATEST_PRB_HZ:g} Hz",
+        ),
         (
             least_db < LEAST_SNR_DB or best_db > GREATEST_SNR_DB,
             f"radio.tx_power_dbm = {radio.tx_power_dbm}, radio.noise_dbm = {radio.noise_dbm}: the "
             f"signal-to-noise ratio goes from {least_db:.6g} dB to {best_db:.6g} dB (Rayleigh "
             f"scale, path loss and shadowing included), must stay within {LEAST_SNR_DB:g} dB to "
             f"{GREATEST_SNR_DB:g} dB",
-        )
+        ),
     )
 
 
 def _times(scenario: Scenario) -> list[str]:
     longest = scenario.max_delay_steps
+    substeps = max(scenario.radio.slot_s, scenario.control.sampling_s) / scenario.robot.substep_s
     return [
         *_multiples(scenario, "robot.substep_s", "radio.slot_s", "control.sampling_s"),
         *_multiples(scenario, "radio.slot_s", "robot.window_s"),
         *_multiples(scenario, "control.sampling_s", "robot.window_s"),
         *_broken(
             (
+                substeps > MAX_SUBSTEPS,
+                f"robot.substep_s = {scenario.robot.substep_s}: {substeps:.6g} substeps in a slot "
+                f"or a control sample, at most {MAX_SUBSTEPS}",
+            ),
+            (
                 longest > MAX_DELAY_STEPS,
                 f"control.max_delay_s = {scenario.control.max_delay_s}: {longest} samples of "
                 f"control.sampling_s, at most {MAX_DELAY_STEPS} (one gain is designed for each)",
-            )
+            ),
         ),
     ]
 

@@ -274,7 +274,7 @@ class Log(_Strict):
     """What the MCAP files carry and how they are packed."""
 
     compression: Literal["zstd", "none"]
-    chunk_bytes: Annotated[int, Field(ge=4096)]
+    chunk_bytes: Annotated[int, Field(ge=4096, le=2**28)]
     train_profile: LogProfile
     evaluate_profile: LogProfile
     sweep_profile: LogProfile

@@ -111,6 +111,11 @@ class Poisson(Arrivals):
             self.rate_sensitivity * self.reference_rate_mbps * self.interval_s(scenario)
         )
         batches = most_mbit.max() * (1e6 / (traffic.packet_bits * self.batch_packets))
+        if self.batch_packets * len(_RECIPROCAL) >= 1 << 32:
+            return [
+                f"traffic.arrivals.batch_packets = {self.batch_packets}: must be below "
+                f"{(1 << 32) // len(_RECIPROCAL)}, since arrivals of a slot have 32 bits"
+            ]
         if batches <= MAX_MEAN:
             return []
         return [
