@@ -183,7 +183,7 @@ class Simulator:
         self._set(policy, weights, multipliers)
         if isinstance(policy, LoggedDecisions):
             self._run(None, record, self._owners(policy.prb_owner, num_slots))
-        elif isinstance(policy, Rule | Weigher):
+        elif isinstance(policy, (Rule, Weigher)):  # a union is made anew in every call
             self._run(policy, record)
         elif isinstance(policy, Policy):
             self._by_slot(policy, record)
