@@ -402,8 +402,8 @@ WHERE = {
         "hiersched.control:analyse_krasovskii",
     ),
     "gains by C1 and C3": (
-        "hiersched.control:synthesise_razumikhin",
-        "hiersched.control:synthesise_krasovskii",
+        "hiersched.control:RazumikhinSynthesis",
+        "hiersched.control:KrasovskiiSynthesis",
     ),
     "the check of a certificate": ("hiersched.control:certify",),
     "what a scenario may hold": ("hiersched.scenario.schema:Scenario",),

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import argparse
 import importlib.util
+import inspect
 import json
 import re
 import shutil
 import subprocess
 import sys
+from operator import attrgetter
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -19,8 +21,14 @@ from jsonschema import Draft202012Validator
 
 from hiersched.cli import _parser, main
 from hiersched.core import registry
+from hiersched.core.seam import Seam
 from hiersched.experiments.points import experiments
+from hiersched.models import seams
+from hiersched.models.model import Setup
+from hiersched.policies.registry import ALLOCATIONS, RULES
+from hiersched.policies.seams import ALLOCATE
 from hiersched.scenario import ScenarioError, load_scenario, parameter_notes
+from hiersched.simulator.loop import run_slots
 
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 CONFIG = "src/hiersched/config"
@@ -103,6 +111,52 @@ def test_what_the_newcomer_looks_for_is_defined_there(project_root: Path) -> Non
         code = (project_root / file).read_text(encoding="utf-8")
         last = inside.rpartition(".")[2]
         assert not last or re.search(rf"^ *(def |class )?{last}\b", code, re.MULTILINE), name
+
+
+def test_a_slot_passes_the_functions_that_the_page_names(project_root: Path) -> None:
+    """In this order, at most twenty; the kernels are those of the page's scenario."""
+    page = documents(project_root)["docs/architecture.md"]
+    section = page.split("## A slot from YAML to figure")[1].split("\n## ")[0]
+    rows = re.findall(r"^\| (\d+) \| `([\w.]+)` \| `([\w/]+)\.py` \|(.*)", section, re.MULTILINE)
+    assert [int(number) for number, *_ in rows] == list(range(1, len(rows) + 1))
+    assert section.count("\n|") - 2 == len(rows) <= 20
+    for _, name, file, text in rows:
+        module = importlib.import_module(f"hiersched.{file.replace('/', '.')}")
+        assert attrgetter(name)(module).__module__ == module.__name__
+        for called in re.findall(r"\(`[\w.]*?(\w+)`(?:, `(\w+)`)?\)", text):
+            for other in filter(None, called):
+                assert _is_defined(other, project_root), other
+    scenario = load_scenario("smoke")
+    setup = Setup(scenario=scenario, num_envs=1, num_slots=1)
+    lagrangian = ALLOCATIONS[RULES["drift_plus_penalty"].standard(scenario).allocation](2, 3)
+    radio, traffic = scenario.radio, scenario.traffic
+    steps = {  # of the loop -> what stands in the table for them
+        "_observe": ["_observe"],
+        "_decide": [_kernel(ALLOCATE, lagrangian)],
+        "plugs.deliver": [_kernel(seams.DELIVER, radio.link.words(setup))],
+        "plugs.arrivals": [_kernel(seams.OFFER, traffic.arrivals.words(setup))],
+        "_offer_service": ["_offer_service"],
+        "plugs.queue": [_kernel(seams.SERVE, traffic.queue.words(setup))],
+        "_account": ["_account"],
+        "_move_robots": [_kernel(seams.DRIVE, scenario.plant.words(setup))],
+        "draw_channel": [
+            _kernel(seams.DRAW_FADING, radio.fading.words(setup)),
+            _kernel(seams.RATE_PRBS, radio.link.words(setup)),
+        ],
+    }
+    code = inspect.getsource(run_slots.py_func)
+    order = sorted(steps, key=code.index)
+    inside = [name for _, name, *_ in rows][6:16]
+    assert inside == [name for step in order for name in steps[step]]
+
+
+def _is_defined(name: str, root: Path) -> bool:
+    files = (root / "src/hiersched").rglob("*.py")
+    return any(f"def {name}(" in file.read_text(encoding="utf-8") for file in files)
+
+
+def _kernel(seam: Seam, words: Any) -> str:
+    return str(seam._kernels[type(words)].py_func.__name__)
 
 
 def test_files_of_the_smoke_study_are_those_of_the_table(project_root: Path) -> None:

@@ -12,8 +12,6 @@ from hiersched.control import (
     analyse_krasovskii,
     analyse_razumikhin,
     certify,
-    synthesise_krasovskii,
-    synthesise_razumikhin,
 )
 from hiersched.control.krasovskii import FixedFunctional
 from hiersched.control.razumikhin import LargestMargin
@@ -47,14 +45,17 @@ def test_re_solving_along_a_schedule_equals_solving_afresh(make_split_plant):
     plant = make_split_plant(100.0, 0.3)
     synthesis = RazumikhinSynthesis(plant, 0.03)
     for T in (5, 1):
-        again, fresh = synthesis.minimal_deviation(T), synthesise_razumikhin(plant, T, 0.03)
+        again, fresh = (
+            synthesis.minimal_deviation(T),
+            RazumikhinSynthesis(plant, 0.03).minimal_deviation(T),
+        )
         np.testing.assert_array_equal(again[0], fresh[0])
 
 
 def test_c3_synthesis_of_either_plant_passes_the_check(make_network_plant, make_split_plant):
     steps = 12  # both nominal loops are unstable there
     for plant in (make_network_plant(), make_split_plant(100.0, 1.0)):
-        gain, witness = synthesise_krasovskii(plant, steps)
+        gain, witness = KrasovskiiSynthesis(plant).minimal_deviation(steps)
         assert certify(*plant.closed_loop(gain), steps, witness).certified
 
 
@@ -95,9 +96,10 @@ def test_c3_for_a_fixed_functional_is_exact(make_network_plant, make_split_plant
 
 def test_alternation_comes_closer_and_stays_certified(make_network_plant):
     plant = make_network_plant()
+    synthesis = KrasovskiiSynthesis(plant)
     distances = []
     for rounds in (0, 10):
-        gain, witness = synthesise_krasovskii(plant, 12, max_alternations=rounds)
+        gain, witness = synthesis.minimal_deviation(12, max_alternations=rounds)
         assert certify(*plant.closed_loop(gain), 12, witness).certified
         distances.append(np.linalg.norm(gain - plant.nominal_gain))
     assert distances[1] < 0.97 * distances[0]
@@ -119,6 +121,6 @@ def test_analysis_rejects(fridman, call, message):
 
 def test_synthesis_rejects(make_network_plant):
     with pytest.raises(ValueError, match=r"delay_steps is 1\.5"):
-        synthesise_krasovskii(make_network_plant(), 1.5)
+        KrasovskiiSynthesis(make_network_plant()).minimal_deviation(1.5)
     with pytest.raises(ValueError, match="needs a 'split' plant"):
-        synthesise_razumikhin(make_network_plant(), 1)
+        RazumikhinSynthesis(make_network_plant(), 0.03)

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from hiersched.learning.stack import Layers
+from hiersched.policies.learned import num_parameters
 
 
 def drawn(layers, count=4, rows=6):
@@ -28,7 +29,7 @@ def by_autograd(layers, parameters, inputs):
             hidden = hidden @ weight + bias
             hidden = hidden.relu() if place < len(layers.sizes) - 2 else hidden
         outputs.append(hidden)
-        assert start == layers.num_parameters
+        assert start == num_parameters(layers.sizes)
     return torch.stack(outputs)
 
 

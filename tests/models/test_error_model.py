@@ -72,7 +72,7 @@ def test_model_rejects(arguments, message):
     [
         (np.zeros((2, 3)), np.zeros((2, 1)), 0.1, r"A_c has shape \(2, 3\)"),
         (np.zeros((2, 2)), np.zeros((3, 1)), 0.1, r"B_c has shape \(3, 1\)"),
-        (np.full((2, 2), np.nan), np.zeros((2, 1)), 0.1, "A_c has entries"),
+        (np.full((2, 2), np.nan), np.zeros((2, 1)), 0.1, r"A_c\[0, 0\] is nan"),
         (np.zeros((2, 2)), np.zeros((2, 1)), -0.1, "sampling_s is -0.1"),
     ],
 )

@@ -69,7 +69,7 @@ def test_gains_of_another_horizon(make_simulator, smoke_scenario):
 
 
 def test_arrivals_beyond_the_quantile(make_simulator):
-    message = r"user 7: up to 1045 batches a slot on average; at most 600 \(lower traffic\.load"
+    message = r"traffic\.load = 0\.95: up to 1045 batches a slot and user .* must stay within 600"
     with pytest.raises(ValueError, match=message):
         make_simulator(
             traffic={

@@ -33,11 +33,8 @@ def allocate_by_urgency(me: UrgencyWords, constants: Any, state: Any, slot: Any,
     The urgency is `state.index_weight`; equal ones are served in the order of the users. PRBs that
     nobody needs are given out one by one in the same order.
     """
-    rate, urgency, need = (
-        state.reported_rate_mbps[env],
-        state.index_weight[env],
-        state.need_mbps[env],
-    )
+    rate, need = state.reported_rate_mbps[env], state.need_mbps[env]
+    urgency = state.index_weight[env]
     check_needs(need)
     check_weights(urgency, -np.inf)
     num_users, left = rate.shape

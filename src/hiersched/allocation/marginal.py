@@ -324,11 +324,8 @@ def allocate_by_utility(me: MarginalWords, constants: Any, state: Any, slot: Any
     weights. w is the weight of the policy times that of the rule, and the product stays in
     `state.index_weight`.
     """
-    rate, weight, need = (
-        state.reported_rate_mbps[env],
-        state.index_weight[env],
-        state.need_mbps[env],
-    )
+    rate, need = state.reported_rate_mbps[env], state.need_mbps[env]
+    weight = state.index_weight[env]
     if me.utility == CAPPED:
         check_needs(need)
     for user in range(rate.shape[0]):

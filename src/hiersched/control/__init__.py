@@ -32,16 +32,11 @@ from hiersched.control.predictor import input_memory_radii, predictor_gains
 
 if TYPE_CHECKING:
     from hiersched.control.design import GainDesign, GainDesigner, design_gain
-    from hiersched.control.krasovskii import (
-        KrasovskiiSynthesis,
-        analyse_krasovskii,
-        synthesise_krasovskii,
-    )
+    from hiersched.control.krasovskii import KrasovskiiSynthesis, analyse_krasovskii
     from hiersched.control.razumikhin import (
         RazumikhinSynthesis,
         analyse_delay_razumikhin,
         analyse_razumikhin,
-        synthesise_razumikhin,
     )
     from hiersched.control.switching import Switch, SwitchingReport, switching_report
 
@@ -62,9 +57,7 @@ __all__ = [
     "analyse_razumikhin",
     "analyse_delay_razumikhin",
     "analyse_krasovskii",
-    "synthesise_razumikhin",
     "RazumikhinSynthesis",
-    "synthesise_krasovskii",
     "KrasovskiiSynthesis",
     "latency_compensated",
     "predictor_gains",

@@ -293,11 +293,3 @@ class FixedFunctional:
         S, X = (C.T @ M.value @ C / T for M in (self._S, self._X))
         witness = KrasovskiiWitness(P=P, S=symmetrised(S), R=R, X=X)
         return np.asarray(self._K.value @ C, dtype=np.float64), witness
-
-
-def synthesise_krasovskii(
-    plant: DelayedPlant, delay_steps: SupportsIndex, *, max_alternations: int = 0
-) -> tuple[FloatArray, KrasovskiiWitness] | None:
-    """C3 synthesis at one delay: `KrasovskiiSynthesis.minimal_deviation`, compiled for it alone."""
-    synthesis = KrasovskiiSynthesis(plant)
-    return synthesis.minimal_deviation(delay_steps, max_alternations=max_alternations)

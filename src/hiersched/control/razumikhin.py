@@ -20,11 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.optimize import minimize_scalar
 
-from hiersched.control.certificate import (
-    DEFAULT_DECAY_RATE,
-    DelayRazumikhinWitness,
-    RazumikhinWitness,
-)
+from hiersched.control.certificate import DelayRazumikhinWitness, RazumikhinWitness
 from hiersched.control.checks import (
     FloatArray,
     as_decay_rate,
@@ -388,10 +384,3 @@ class RazumikhinSynthesis:
             return None
         witness = RazumikhinWitness(P=symmetrised(P), tau=tau, decay_rate=self._rate)
         return Solution(K, float(np.linalg.norm(K - self._nominal)), witness)
-
-
-def synthesise_razumikhin(
-    plant: DelayedPlant, delay_steps: SupportsIndex, decay_rate: float = DEFAULT_DECAY_RATE
-) -> tuple[FloatArray, RazumikhinWitness] | None:
-    """C1 synthesis at one delay: `RazumikhinSynthesis.minimal_deviation`, compiled for it alone."""
-    return RazumikhinSynthesis(plant, decay_rate).minimal_deviation(delay_steps)

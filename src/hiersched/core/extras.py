@@ -34,13 +34,7 @@ class MissingExtraError(ImportError):
 
 @contextmanager
 def naming_extras() -> Iterator[None]:
-    """Name the extra where an import in this context fails for want of one.
-
-    Raises
-    ------
-    MissingExtraError
-        In place of the `ModuleNotFoundError`.
-    """
+    """Raise MissingExtraError, which names the extra, where an import within fails without it."""
     try:
         yield
     except ModuleNotFoundError as error:

@@ -48,31 +48,15 @@ STORED_TOPICS = ("/channel", "/world")
 
 @dataclass(frozen=True)
 class Field:
-    """One quantity of a slot.
+    """One quantity of a slot."""
 
-    Attributes
-    ----------
-    topic
-        Topic of the log.
-    name
-        Unique over all topics.
-    dtype
-        Little-endian NumPy type: ``<f8``, ``<f4``, ``<u4`` or ``<u8``.
-    shape
-        Of one slot's value: `LETTERS` and numbers; ``()`` is a scalar.
-    unit, meaning
-        For the reader.
-    profiles
-        Those of `PROFILES` that contain it.
-    """
-
-    topic: str
-    name: str
-    dtype: str
-    shape: tuple[str | int, ...]
+    topic: str  # of the log
+    name: str  # unique over all topics
+    dtype: str  # little-endian NumPy type: <f8, <f4, <u4 or <u8
+    shape: tuple[str | int, ...]  # of one slot's value: `LETTERS` and numbers; () is a scalar
     unit: str
     meaning: str
-    profiles: tuple[str, ...]
+    profiles: tuple[str, ...]  # those of `PROFILES` that contain it
 
     def sized(self, sizes: Mapping[str, int]) -> tuple[int, ...]:
         """Shape of one slot's value where each letter stands for a number."""
@@ -161,19 +145,11 @@ SLICE_FIELDS = tuple(field.name for field in FIELDS if field.profiles == SUMS)
 
 @dataclass(frozen=True)
 class ModelField:
-    """A field of a model: one number a user, or a robot for a plant.
+    """A field of a model: one number a user, or a robot for a plant."""
 
-    Attributes
-    ----------
-    name, unit
-        Such as ``radio.fading/coherence`` and ``1``.
-    start, count
-        Its numbers are those from `start` to before `start + count` of ``model_values``.
-    """
-
-    name: str
+    name: str  # such as radio.fading/coherence
     unit: str
-    start: int
+    start: int  # of its numbers in `model_values`
     count: int
 
 
@@ -185,11 +161,8 @@ def fields_to_text(fields: Iterable[ModelField]) -> str:
 def fields_from_text(text: str, num_values: int) -> tuple[ModelField, ...]:
     """Read what `fields_to_text` wrote.
 
-    Raises
-    ------
-    ValueError
-        If it is anything else, or the fields are not, one behind the other, those of `num_values`
-        numbers.
+    ValueError if it is anything else, or the fields are not, one behind the other, those of
+    `num_values` numbers.
     """
     found = []
     start = 0

@@ -148,21 +148,17 @@ class NormalScratch(NamedTuple):
     words: NDArray[np.uint32]
     flat: NDArray[np.uint32]
     normals: NDArray[np.float32]
-    place: NDArray[np.int64]  # (R W,) of each normal in `normals`
 
 
 def normal_scratch(num_robots: int, num_normals: int) -> NormalScratch:
     """Work arrays for `num_normals` normals of each of `num_robots` robots."""
-    count = num_robots * num_normals
-    rows = -(-count // 5)
+    rows = -(-num_robots * num_normals // 5)
     blocks = -(-6 * rows // 4)
     half = -(-3 * rows // _VECTOR) * _VECTOR
-    row, j = np.divmod(np.arange(count), 5)
     return NormalScratch(
         words=np.zeros((4, -(-blocks // _VECTOR) * _VECTOR), np.uint32),
         flat=np.zeros(4 * blocks + half, np.uint32),
         normals=np.zeros((3, half), np.float32),
-        place=(1 + j // 3) * half + j % 3 * rows + row,
     )
 
 
@@ -190,6 +186,7 @@ def draw_normals(
         sine, cosine = sincos_turn_f32(unit_f32(flat[3 * rows + i]))
         normals[1, i] = normals[0, i] * cosine
         normals[2, i] = normals[0, i] * sine
-    drawn = normals.reshape(-1)
-    for i in range(values.shape[0]):
-        values[i] = drawn[scratch.place[i]]
+    for row in range(rows):
+        for j in range(5):
+            if 5 * row + j < values.shape[0]:
+                values[5 * row + j] = normals[1 + j // 3, j % 3 * rows + row]

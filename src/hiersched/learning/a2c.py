@@ -55,20 +55,14 @@ class A2c(ActorCritic):
 
     def act(self, features: NDArray[np.float32]) -> NDArray[np.float32]:
         """As in `Algorithm`."""
-        actions: NDArray[np.float32] = np.tanh(self._mean(features))
+        actions: NDArray[np.float32] = np.tanh(self._means_of_actions(features).numpy())
         return actions
-
-    def _mean(self, features: NDArray[np.float32]) -> NDArray[np.float32]:
-        with torch.no_grad():
-            inputs = self.network.inputs(torch.from_numpy(features))
-            mean: NDArray[np.float32] = self._raw_actions(self.actor, inputs).numpy()
-            return mean
 
     def explore(self, features: NDArray[np.float32], done: float) -> NDArray[np.float32]:
         """As in `Algorithm`; the spread changes between rollouts only."""
         if not self._outcomes:
             self._noise_spread = self._spread(done)
-        mean = self._mean(features)
+        mean = self._means_of_actions(features).numpy()
         drawn = mean + self._noise_spread * seeded_normals(self._generators, mean.shape[1:])
         self._drawn.append(drawn)
         actions: NDArray[np.float32] = np.tanh(drawn)

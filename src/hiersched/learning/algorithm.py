@@ -104,6 +104,12 @@ class ActorCritic(Algorithm):
         self.actor_adam = StackedAdam(self.actor, learning.actor_lr, learning.gradient_clip)
         self.critic_adam = StackedAdam(self.critic, learning.critic_lr, learning.gradient_clip)
 
+    def _means_of_actions(self, features: NDArray[np.float32]) -> Tensor:
+        """Return the actors' outputs before tanh, shape (seeds, E, U), without a gradient."""
+        with torch.no_grad():
+            inputs = self.network.inputs(torch.from_numpy(features))
+            return self._raw_actions(self.actor, inputs)
+
     def _raw_actions(self, actor: Tensor, inputs: Tensor) -> Tensor:
         """Return the outputs of the actors before tanh, shape (seeds, B, U)."""
         outputs = self.network.actor.forward(actor, inputs)

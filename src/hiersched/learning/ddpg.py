@@ -45,9 +45,7 @@ class Ddpg(ActorCritic):
 
     def act(self, features: NDArray[np.float32]) -> NDArray[np.float32]:
         """As in `Algorithm`."""
-        with torch.no_grad():
-            inputs = self.network.inputs(torch.from_numpy(features))
-            return self._raw_actions(self.actor, inputs).tanh().numpy()
+        return self._means_of_actions(features).tanh().numpy()
 
     def explore(self, features: NDArray[np.float32], done: float) -> NDArray[np.float32]:
         """As in `Algorithm`."""

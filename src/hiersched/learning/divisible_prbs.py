@@ -18,7 +18,7 @@ _LEAST_PRIORITY = 1e-3
 """Of an empty queue, relative to the largest: its user would otherwise pass no gradient."""
 
 
-def prb_shares(weights: Tensor, num_prb: int, *, floor_slope: float = 0.0) -> Tensor:
+def prb_shares(weights: Tensor, num_prb: int, floor_slope: float = 0.0) -> Tensor:
     """PRBs of every user under weighted proportional fairness, were PRBs divisible.
 
     Maximises sum w_i log n_i subject to sum n_i = K and n_i >= 1: water-filling,
@@ -47,11 +47,6 @@ def prb_shares(weights: Tensor, num_prb: int, *, floor_slope: float = 0.0) -> Te
     return shares + floor_slope * (free - free.detach())
 
 
-def pf_shares(weights: Tensor, features: Tensor, num_prb: int, floor_slope: float = 0.0) -> Tensor:
-    """PRBs under weighted PF, whatever the features: `prb_shares`."""
-    return prb_shares(weights, num_prb, floor_slope=floor_slope)
-
-
 def max_weight_shares(
     weights: Tensor, features: Tensor, num_prb: int, floor_slope: float = 0.0
 ) -> Tensor:
@@ -72,6 +67,9 @@ def max_weight_shares(
     return 1.0 + (num_prb - weights.shape[-1]) * chance
 
 
-RELAXATIONS: dict[str, Callable[..., Tensor]] = {"pf": pf_shares, "max_weight": max_weight_shares}
+RELAXATIONS: dict[str, Callable[..., Tensor]] = {
+    "pf": lambda weights, features, *rest: prb_shares(weights, *rest),  # whatever the features
+    "max_weight": max_weight_shares,
+}
 """Relaxed allocation by the scheduler from which the residual starts: (weights (..., U), features
 (..., U, F), num_prb, floor_slope) -> PRBs (..., U)."""

@@ -11,8 +11,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hiersched.policies.learned import num_parameters
-
 _ADAM_DECAY, _ADAM_SQUARE_DECAY, _ADAM_EPSILON = 0.9, 0.999, 1e-8
 
 
@@ -21,11 +19,6 @@ class Layers:
     """Sizes of a stack of equal multilayer perceptrons: inputs, hidden layers, outputs."""
 
     sizes: tuple[int, ...]
-
-    @property
-    def num_parameters(self) -> int:
-        """P, parameters of one network."""
-        return num_parameters(self.sizes)
 
     def initial(self, rng: np.random.Generator, *, zero_output: bool) -> NDArray[np.float32]:
         """Draw one network, shape (P,): uniform within 1/sqrt(inputs); last layer 0 if asked."""

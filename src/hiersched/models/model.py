@@ -39,19 +39,14 @@ class Setup:
     num_envs: int  # worlds side by side, E
     num_slots: int  # of an episode, T
 
-    @property
-    def num_samples(self) -> int:
-        """Control samples of an episode."""
-        scenario = self.scenario
-        length_s = self.num_slots * scenario.radio.slot_s
-        return math.ceil(length_s / scenario.control.sampling_s - 1e-9)
-
     def loop_memory(self, n: int, m: int) -> LoopMemory:
         """Return what the loops of the robots remember, for n states and m inputs: nothing yet."""
-        of_robot = self.num_envs, self.scenario.users.num_urllc
+        scenario, of_robot = self.scenario, (self.num_envs, self.scenario.users.num_urllc)
+        length_s = self.num_slots * scenario.radio.slot_s
+        samples = math.ceil(length_s / scenario.control.sampling_s - 1e-9)
         return LoopMemory(
-            history=np.zeros((*of_robot, self.num_samples + 1, n)),
-            commands=np.zeros((*of_robot, self.scenario.max_delay_steps + 1, m)),
+            history=np.zeros((*of_robot, samples + 1, n)),
+            commands=np.zeros((*of_robot, scenario.max_delay_steps + 1, m)),
             control=np.zeros((*of_robot, m)),
             held=np.zeros((*of_robot, 2), np.int64),
         )
@@ -61,11 +56,10 @@ class Setup:
 
         ValueError if the scenario does not have this very model, or the model not this field.
         """
-        for key in SECTIONS:
-            if attrgetter(key)(self.scenario) is model:
-                for field in model_fields(self.scenario):
-                    if field.name == f"{key}/{name}":
-                        return field.start
+        for field in model_fields(self.scenario):
+            key, _, own = field.name.partition("/")
+            if own == name and attrgetter(key)(self.scenario) is model:
+                return field.start
         raise ValueError(f"{name}: no field of {model!r} in this scenario")
 
 
@@ -241,6 +235,11 @@ SECTIONS = {
     section.key: section for section in (PATH_LOSS, FADING, REPORT, LINK, ARRIVALS, QUEUE, PLANT)
 }
 """All places of a scenario that name a model, by dotted key."""
+
+
+def models_of(scenario: Scenario) -> dict[str, Model]:
+    """Return the models of a scenario by the last part of their key, in the order of `SECTIONS`."""
+    return {key.rpartition(".")[2]: attrgetter(key)(scenario) for key in SECTIONS}
 
 
 def model_fields(scenario: Scenario) -> tuple[ModelField, ...]:

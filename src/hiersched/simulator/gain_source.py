@@ -100,13 +100,7 @@ def read_gains(path: Path, scenario: Scenario) -> GainSchedule:
 
 
 def design_schedule(scenario: Scenario) -> GainSchedule:
-    """Design the gains of a scenario.
-
-    Raises
-    ------
-    MissingExtraError
-        If the extra `control`, which solves the matrix inequalities, is not installed.
-    """
+    """Design the gains of a scenario; MissingExtraError without the extra `control`, the solver."""
     control = scenario.control
     with naming_extras():
         return build_schedule(
@@ -119,13 +113,7 @@ def design_schedule(scenario: Scenario) -> GainSchedule:
 
 
 def scenario_schedule(scenario: Scenario) -> GainSchedule:
-    """Return the gain schedule of a scenario: a shipped one, or else one that is designed now.
-
-    Raises
-    ------
-    MissingExtraError
-        As `design_schedule`.
-    """
+    """Return the gain schedule of a scenario: a shipped one, else as `design_schedule` says."""
     path = shipped_file(scenario)
     if path.is_file():
         return read_gains(path, scenario)

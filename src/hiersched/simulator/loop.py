@@ -100,7 +100,11 @@ def run_slots(
                 _decide(plugs, constants, state, slot, env)
             copy(state.weight[env], slot.weight)
             prefetch_third(row, 2)
-            _serve(plugs, constants, state, slot, env)
+            call_plug(plugs.deliver, constants, state, slot, env)
+            call_plug(plugs.arrivals, constants, state, slot, env)
+            _offer_service(constants, state, slot, env)
+            call_plug(plugs.queue, constants, state, slot, env)
+            _account(constants, state, slot, env)
             _move_robots(plugs, constants, state, slot, env)
             # What this slot delivers is known when it has ended: the next slot's samples use it.
             copy(slot.network_delay_s, state.delay_s[env])
@@ -239,10 +243,8 @@ def _check_owners(owner: NDArray[np.uint32], count: NDArray[np.uint32]) -> None:
 
 
 @inner_kernel(forceinline=True)
-def _serve(plugs: Any, constants: Any, state: Any, slot: Any, env: int) -> None:
-    """Serve a world's slot by the owners that stand in `slot`, which is filled."""
-    call_plug(plugs.deliver, constants, state, slot, env)
-    call_plug(plugs.arrivals, constants, state, slot, env)
+def _offer_service(constants: Any, state: Any, slot: Any, env: int) -> None:
+    """Turn the rates of the slot into the service that the queues are offered, and average them."""
     forgetting, per_mbps = constants.average_forgetting, constants.service_packets_per_mbps
     for user in range(slot.rate_mbps.shape[0]):
         rate, average, offset = slot.rate_mbps[user], state.average_rate_mbps[env, user], 0.0
@@ -251,8 +253,6 @@ def _serve(plugs: Any, constants: Any, state: Any, slot: Any, env: int) -> None:
         slot.service_packets[user] = offered_service(rate, offset, per_mbps)
         state.rate_mbps[env, user] = rate
         state.average_rate_mbps[env, user] = average + forgetting * (rate - average)
-    call_plug(plugs.queue, constants, state, slot, env)
-    _account(constants, state, slot, env)
 
 
 @inner_kernel(forceinline=True)

@@ -22,9 +22,7 @@ class Gains:
     local_gains: NDArray[np.float64]  # (T_max + 1, m, n) on the present measurement
     network_gains: NDArray[np.float64]  # (T_max + 1, m, n) on the delayed measurement
     input_gains: NDArray[np.float64]  # (T_max + 1, T_max, m, m) on past commands, the newest first
-    adjusted: NDArray[
-        np.bool_
-    ]  # (T_max + 1,) whether an entry is another gain than the nominal one
+    adjusted: NDArray[np.bool_]  # (T_max + 1,) whether an entry is not the nominal gain
 
     @classmethod
     def memoryless(

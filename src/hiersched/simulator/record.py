@@ -54,14 +54,8 @@ _ALIGNMENT = 8
 class SlotLayout:
     """Where the fields of a slot lie in its row.
 
-    Parameters
-    ----------
-    num_users, num_robots, num_prb
-        U, R and K of `core.fields.LETTERS`.
-    robot_sizes
-        N, M and W; those of a unicycle unless given.
-    num_model_values
-        X.
+    Made of the sizes in `core.fields.LETTERS`: U, R and K, N, M and W, and X; robots are unicycles
+    unless `robot_sizes` says otherwise.
     """
 
     def __init__(

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.models.model import Belief, Model, Setup, num_model_values
+from hiersched.models.model import Belief, Setup, num_model_values
 from hiersched.models.plant.feedback import LoopConstants
 from hiersched.scenario.schema import Scenario
 from hiersched.simulator.loop_gains import Gains
@@ -47,9 +47,7 @@ class SlotState(NamedTuple):
     snr: NDArray[np.float64]  # (E, U K) at unit fading power, each user's K times, linear
     fading_power: NDArray[np.float32]  # (E, U, K) squared amplitudes
     prb_rate_mbps: NDArray[np.float32]  # (E, U, K) what each PRB carries for each user
-    reported_rate_mbps: NDArray[
-        np.float32
-    ]  # what policies are told; the same where nothing reports
+    reported_rate_mbps: NDArray[np.float32]  # (E, U, K) what policies are told of them
     backlog_packets: NDArray[np.float64]  # (E, U) at the start of the coming slot
     hol_delay_s: NDArray[np.float64]  # (E, U) likewise
     average_rate_mbps: NDArray[np.float64]  # (E, U) likewise
@@ -186,20 +184,6 @@ def reset_state(state: SlotState, scenario: Scenario, keys: NDArray[np.uint64]) 
     state.delay_s[:] = scenario.robot.core_latency_s  # until the network has delivered something
     state.dexterity_index[:] = scenario.robot.initial_dexterity_index
     state.snr[:] = _snr_at_unit_fading(scenario, keys)
-
-
-def models_of(scenario: Scenario) -> dict[str, Model]:
-    """Return the models of a scenario by their place in the slot loop."""
-    radio, traffic = scenario.radio, scenario.traffic
-    return {
-        "path_loss": radio.path_loss,
-        "fading": radio.fading,
-        "link": radio.link,
-        "report": radio.report,
-        "arrivals": traffic.arrivals,
-        "queue": traffic.queue,
-        "plant": scenario.plant,
-    }
 
 
 def _snr_at_unit_fading(scenario: Scenario, keys: NDArray[np.uint64]) -> NDArray[np.float64]:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hiersched.core.pointer import Pointer
 from hiersched.core.seam import UNUSED, KernelError, Plug, Seam
 from hiersched.models import seams
-from hiersched.models.model import Model, Setup, num_model_values
+from hiersched.models.model import Model, Setup, models_of, num_model_values
 from hiersched.policies.features import num_features, observe_worlds
 from hiersched.policies.find import find_policy
 from hiersched.policies.policy import LoggedDecisions, Owners, Policy, View, Weigher, Weights
@@ -32,7 +32,6 @@ from hiersched.simulator.record import SlotLayout, SlotRecord
 from hiersched.simulator.setup import (
     SlotConstants,
     SlotState,
-    models_of,
     reset_state,
     slot_constants,
     slot_state,
@@ -184,7 +183,7 @@ class Simulator:
         self._set(policy, weights, multipliers)
         if isinstance(policy, LoggedDecisions):
             self._run(None, record, self._owners(policy.prb_owner, num_slots))
-        elif isinstance(policy, Rule | Weigher):
+        elif isinstance(policy, (Rule, Weigher)):  # a union is made anew in every call
             self._run(policy, record)
         elif isinstance(policy, Policy):
             self._by_slot(policy, record)
@@ -260,23 +259,22 @@ class Simulator:
             )
         return record
 
-    def _owners(self, prb_owner: NDArray[Any], num_slots: int) -> NDArray[np.uint32]:
-        num_prb, num_users = self.scenario.radio.num_prb, self.scenario.num_users
-        if prb_owner.shape != (self.num_envs, num_slots, num_prb):
-            raise ValueError(
-                f"prb_owner: shape {prb_owner.shape}, must be "
-                f"({self.num_envs}, {num_slots}, {num_prb})"
-            )
+    def _owners(self, prb_owner: NDArray[Any], *num_slots: int) -> NDArray[np.uint32]:
+        """Check owners, shape (E, T, K), or (E, K) of one slot."""
+        num_users, shape = self.scenario.num_users, (self.num_envs, *num_slots)
+        shape = *shape, self.scenario.radio.num_prb
+        if prb_owner.shape != shape:
+            raise ValueError(f"prb_owner: shape {prb_owner.shape}, must be {shape}")
         if prb_owner.dtype.kind not in "iu":
             raise ValueError(f"prb_owner: of type {prb_owner.dtype}, must be integers")
         wanted = f"prb_owner: every user 0 to {num_users - 1} must own a PRB, and nobody else"
         wrong = (prb_owner < 0) | (prb_owner >= num_users)
         if wrong.any():
-            env, slot, prb = np.argwhere(wrong)[0].tolist()
-            raise ValueError(f"{wanted}; PRB {prb} of world {env} has {prb_owner[env, slot, prb]}")
-        held = (prb_owner[..., None] == np.arange(num_users)).any(axis=2)
+            env, *_, prb = np.argwhere(wrong)[0].tolist()
+            raise ValueError(f"{wanted}; PRB {prb} of world {env} has {prb_owner[wrong][0]}")
+        held = (prb_owner[..., None] == np.arange(num_users)).any(axis=-2)
         if not held.all():
-            env, _, user = np.argwhere(~held)[0].tolist()
+            env, *_, user = np.argwhere(~held)[0].tolist()
             raise ValueError(f"{wanted}; user {user} of world {env} has none")
         return np.ascontiguousarray(prb_owner, dtype=np.uint32)
 
@@ -366,11 +364,7 @@ class Simulator:
                 self._run(decision.rule, one)
             elif isinstance(decision, Owners):
                 self.state.weight[:] = 1.0
-                given = np.asarray(decision.prb_owner)
-                shape = self.num_envs, self.scenario.radio.num_prb
-                if given.shape != shape:
-                    raise ValueError(f"prb_owner: shape {given.shape}, must be {shape}")
-                self._run(None, one, self._owners(given[:, None], 1))
+                self._run(None, one, self._owners(np.asarray(decision.prb_owner))[:, None])
             else:
                 raise ValueError(
                     f"{type(policy).__name__}.decide returned {type(decision).__name__}: must be "

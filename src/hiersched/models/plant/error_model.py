@@ -8,6 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import expm
 
+from hiersched.control.checks import as_matrix, as_positive, as_square
+
 FloatArray = npt.NDArray[np.float64]
 
 
@@ -29,7 +31,7 @@ def unicycle_error_model(
     for name, value in (("speed_mps", speed_mps), ("turn_rate_radps", turn_rate_radps)):
         if not math.isfinite(value):
             raise ValueError(f"{name} is {value!r}; it must be finite")
-    _require_positive("actuator_lag_s", actuator_lag_s)
+    as_positive("actuator_lag_s", actuator_lag_s)
     A_c = np.zeros((5, 5))
     A_c[0, 1], A_c[0, 3] = turn_rate_radps, 1.0
     A_c[1, 0], A_c[1, 2] = -turn_rate_radps, speed_mps
@@ -50,22 +52,11 @@ def discretise(
     for a singular A_c. ValueError if shapes do not fit, an entry is not finite, or the interval is
     not positive.
     """
-    state, inputs = np.asarray(A_c, dtype=np.float64), np.asarray(B_c, dtype=np.float64)
-    if state.ndim != 2 or state.shape[0] != state.shape[1]:
-        raise ValueError(f"A_c has shape {state.shape}; it must be square (n, n)")
-    if inputs.ndim != 2 or inputs.shape[0] != state.shape[0]:
-        raise ValueError(f"B_c has shape {inputs.shape}; it must be ({state.shape[0]}, m)")
-    for name, matrix in (("A_c", state), ("B_c", inputs)):
-        if not np.isfinite(matrix).all():
-            raise ValueError(f"{name} has entries that are not finite")
-    _require_positive("sampling_s", sampling_s)
+    state = as_square("A_c", A_c)
+    inputs = as_matrix("B_c", B_c, (len(state), None))
+    as_positive("sampling_s", sampling_s)
     n, m = inputs.shape
     block = np.zeros((n + m, n + m))
     block[:n, :n], block[:n, n:] = state, inputs
     transition = np.asarray(expm(block * sampling_s), dtype=np.float64)
     return transition[:n, :n].copy(), transition[:n, n:].copy()
-
-
-def _require_positive(name: str, value: float) -> None:
-    if not (math.isfinite(value) and value > 0.0):
-        raise ValueError(f"{name} is {value!r}; it must be finite and greater than 0")

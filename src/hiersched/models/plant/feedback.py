@@ -131,7 +131,8 @@ def close_loop(
             command = limits[i] if command > 0.0 else -limits[i]
             saturated = 1
         control[i] = command
-    for i in range(limits.shape[0]):
-        commands[sample % commands.shape[0], i] = control[i]
+    if loop.has_memory:
+        for i in range(limits.shape[0]):
+            commands[sample % commands.shape[0], i] = control[i]
     slot.control_saturated[robot] += saturated
     state.gain_delay_steps[env, robot] = loop.adjusted_delay_steps[entry]

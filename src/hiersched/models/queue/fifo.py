@@ -23,9 +23,7 @@ class FifoWords(NamedTuple):
     """What the queues of U users remember."""
 
     arrived: NDArray[np.float64]  # (E, T + 1, U) packets that arrived before each slot
-    head: NDArray[
-        np.int64
-    ]  # (E, U) slot in which the oldest waiting packet arrived, or any earlier
+    head: NDArray[np.int64]  # (E, U) slot of the oldest waiting packet's arrival, or any earlier
 
 
 @QUEUE.model

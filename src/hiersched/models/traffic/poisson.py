@@ -74,17 +74,13 @@ class Poisson(Arrivals):
         ),
     ]
 
-    def interval_s(self, scenario: Scenario) -> float:
-        """Return the interval of a URLLC user's arrivals, tau + D_i [s]."""
-        delay_s = self.application_delay_s
-        return scenario.radio.slot_s + (scenario.traffic.deadline_s if delay_s is None else delay_s)
-
     def belief(self, scenario: Scenario) -> Belief:
         """As in `Arrivals`; eMBB arrivals depend on no rate."""
         slot_s, traffic = scenario.radio.slot_s, scenario.traffic
         num_urllc, num_embb = scenario.users.num_urllc, scenario.users.num_embb
         packet_mbit = traffic.packet_bits * 1e-6
-        interval_s = self.interval_s(scenario)
+        delay_s = self.application_delay_s
+        interval_s = slot_s + (traffic.deadline_s if delay_s is None else delay_s)
         offered = self.offered_mbps(scenario)
         offered_urllc, offered_embb = offered[:num_urllc], offered[num_urllc:]
         # lambda_0 such that the load at the reference rate is the offered one: the interval of the
@@ -105,12 +101,8 @@ class Poisson(Arrivals):
 
     def faults(self, scenario: Scenario) -> list[str]:
         """Say where mean batches a slot are beyond what the Poisson quantile can sum."""
-        slot_s, traffic = scenario.radio.slot_s, scenario.traffic
-        most_mbit = self.offered_mbps(scenario) * slot_s
-        most_mbit[: scenario.users.num_urllc] += (
-            self.rate_sensitivity * self.reference_rate_mbps * self.interval_s(scenario)
-        )
-        batches = most_mbit.max() * (1e6 / (traffic.packet_bits * self.batch_packets))
+        load, belief = scenario.traffic.load, self.belief(scenario)
+        batches = (belief.offered_mbps * belief.packets_per_mbps).max() / self.batch_packets
         if self.batch_packets * len(_RECIPROCAL) >= 1 << 32:
             return [
                 f"traffic.arrivals.batch_packets = {self.batch_packets}: must be below "
@@ -119,26 +111,17 @@ class Poisson(Arrivals):
         if batches <= MAX_MEAN:
             return []
         return [
-            f"traffic.load = {traffic.load}: up to {batches:.6g} batches a slot and user on "
+            f"traffic.load = {load}: up to {batches:.6g} batches a slot and user on "
             f"average, must stay within {MAX_MEAN:g} (lower the load or the offered rates, or "
             "raise traffic.packet_bits or traffic.arrivals.batch_packets)"
         ]
 
     def words(self, setup: Setup) -> PoissonWords:
         """As in `Model`; ValueError if a user's mean arrivals are beyond the Poisson quantile."""
-        belief = self.belief(setup.scenario)
-        worst = belief.offered_mbps * belief.packets_per_mbps / self.batch_packets
-        if worst.max() > MAX_MEAN:
-            user = int(worst.argmax())
-            raise ValueError(
-                f"user {user}: up to {worst[user]:.6g} batches a slot on average; at most "
-                f"{MAX_MEAN:g} (lower traffic.load or the offered rate, or raise "
-                "traffic.packet_bits or traffic.arrivals.batch_packets)"
-            )
-        return PoissonWords(
-            batch_packets=self.batch_packets,
-            lanes=np.zeros((-(-len(worst) // LANES), NUM_ARRIVAL_LANES)),
-        )
+        if faults := self.faults(setup.scenario):
+            raise ValueError(faults[0])
+        blocks = -(-setup.scenario.num_users // LANES)
+        return PoissonWords(self.batch_packets, np.zeros((blocks, NUM_ARRIVAL_LANES)))
 
 
 @OFFER.kernel(PoissonWords)
