@@ -9,6 +9,7 @@ import pytest
 from hiersched.cli import main
 from hiersched.scenario import ScenarioError, load_scenario
 
+LOADS = [round(0.5 + 0.01 * i, 2) for i in range(40)]
 ROOT = Path(__file__).resolve().parents[2]
 
 
@@ -70,9 +71,7 @@ def test_defaults_are_those_of_the_package(tmp_path, monkeypatch):
         ),
         ("robot: {speed_mps: 1.0e-9}", "no gain can be designed for this plant"),
         (
-            "sweeps: {axes: {big: {vary: {traffic.load: [{0}], radio.tx_power_dbm: [{0}]}}}}".replace(
-                "{0}", ", ".join(f"{0.5 + 0.01 * i:g}" for i in range(40))
-            ),
+            f"sweeps: {{axes: {{big: {{vary: {{traffic.load: {LOADS}, radio.tx_power_dbm: {LOADS}}}}}}}}}",
             "1600 points, must be at most 1000",
         ),
     ],

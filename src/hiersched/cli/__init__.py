@@ -15,18 +15,10 @@ BAD_INPUT = 2
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run a command.
+    """Run a command; `arguments` are as typed, those of the process unless given.
 
-    Parameters
-    ----------
-    arguments
-        As typed; those of the process unless given.
-
-    Returns
-    -------
-    int
-        Exit status: 0; 1 when a log is not what it should be; 2 when the input is at fault (one
-        message on stderr); 3 when a recovered log lacks something; of a study Snakemake's.
+    Returns the exit status: 0; 1 when a log is not what it should be; 2 when the input is at fault
+    (one message on stderr); 3 when a recovered log lacks something; of a study Snakemake's.
     """
     parsed = _parser().parse_args(arguments)
     command: Callable[[argparse.Namespace], int] = parsed.command

@@ -32,12 +32,7 @@ Measure = Callable[[RunSlots, Scenario], dict[str, Any]]
 
 
 def run_experiment(
-    scenario: Scenario,
-    results: Path,
-    name: str,
-    group: str,
-    source: PolicySource,
-    measure: Measure,
+    scenario: Scenario, results: Path, name: str, group: str, source: PolicySource, measure: Measure
 ) -> None:
     """Run and log a group of policies; every policy runs in all worlds of a point as one batch.
 

@@ -16,22 +16,9 @@ from typing import IO, Any
 
 import numpy as np
 import zstandard
+from mcap import records
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    ChunkIndex,
-    DataEnd,
-    Header,
-    McapRecord,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
 from numpy.typing import NDArray
 
 MAX_CHUNK_BYTES = 1 << 28  # a viewer holds whole chunks in memory
@@ -63,17 +50,19 @@ def _compressor() -> zstandard.ZstdCompressor:
     return zstandard.ZstdCompressor(compression_params=parameters)
 
 
-def _bytes_of(*records: McapRecord) -> bytes:
+def _bytes_of(*parts: records.McapRecord) -> bytes:
     """Serialise MCAP records one after the other."""
     builder = RecordBuilder()
-    for record in records:
+    for record in parts:
         record.write(builder)
     return bytes(builder.end())  # type: ignore[no-untyped-call]
 
 
-def attachment_index(attachment: Attachment, offset: int, length: int) -> AttachmentIndex:
+def attachment_index(
+    attachment: records.Attachment, offset: int, length: int
+) -> records.AttachmentIndex:
     """Return the entry of the summary for an attachment whose record lies at these bytes."""
-    return AttachmentIndex(
+    return records.AttachmentIndex(
         offset=offset,
         length=length,
         log_time=attachment.log_time,
@@ -98,13 +87,13 @@ class Container:
         self._zstd = _compressor() if compression == "zstd" else None
         self._offset = 0
         self._data_crc = 0
-        self._schemas: list[Schema] = []
-        self._channels: list[Channel] = []
-        self._chunks: list[ChunkIndex] = []
-        self._attachments: list[AttachmentIndex] = []
-        self._metadata: list[MetadataIndex] = []
+        self._schemas: list[records.Schema] = []
+        self._channels: list[records.Channel] = []
+        self._chunks: list[records.ChunkIndex] = []
+        self._attachments: list[records.AttachmentIndex] = []
+        self._metadata: list[records.MetadataIndex] = []
         self._counts: dict[int, int] = {}
-        self._write(MAGIC + _bytes_of(Header(profile="", library=library)))
+        self._write(MAGIC + _bytes_of(records.Header(profile="", library=library)))
 
     def _write(self, data: Any, crc: int | None = None) -> None:
         """Append bytes, of known CRC-32 perhaps, to the data section."""
@@ -117,15 +106,16 @@ class Container:
 
     def add_metadata(self, name: str, metadata: Mapping[str, str]) -> int:
         """Write a Metadata record and return its CRC-32."""
-        record = _bytes_of(Metadata(name=name, metadata=dict(metadata)))
-        self._metadata.append(MetadataIndex(offset=self._offset, length=len(record), name=name))
+        record = _bytes_of(records.Metadata(name=name, metadata=dict(metadata)))
+        place = {"offset": self._offset, "length": len(record)}
+        self._metadata.append(records.MetadataIndex(name=name, **place))
         self._write(record)
         return zlib.crc32(record)
 
     def add_attachment(self, name: str, data: bytes) -> None:
         """Write an Attachment, dated to the start of the simulation."""
         media_type = _MEDIA_TYPES.get(Path(name).suffix, "application/octet-stream")
-        attachment = Attachment(
+        attachment = records.Attachment(
             create_time=0, log_time=0, name=name, media_type=media_type, data=data
         )
         record = _bytes_of(attachment)
@@ -136,8 +126,8 @@ class Container:
         self, channel_id: int, topic: str, message: str, descriptors: bytes, note: dict[str, str]
     ) -> None:
         """Write the Schema and the Channel of a topic; both get the same id."""
-        schema = Schema(id=channel_id, name=message, encoding="protobuf", data=descriptors)
-        channel = Channel(
+        schema = records.Schema(id=channel_id, name=message, encoding="protobuf", data=descriptors)
+        channel = records.Channel(
             id=channel_id,
             topic=topic,
             message_encoding="protobuf",
@@ -179,7 +169,7 @@ class Container:
         self._write(_MESSAGE_INDEX_START.pack(*head) + entries)
         self._counts[channel_id] += len(times)
         self._chunks.append(
-            ChunkIndex(
+            records.ChunkIndex(
                 chunk_length=index_start - start,
                 chunk_start_offset=start,
                 compression=compression,
@@ -194,23 +184,23 @@ class Container:
 
     def finish(self) -> None:
         """Write the end of the data section, the summary and the footer."""
-        data_end = _bytes_of(DataEnd(data_section_crc=self._data_crc))
+        data_end = _bytes_of(records.DataEnd(data_section_crc=self._data_crc))
         start = self._offset + len(data_end)
         summary, offsets = b"", []
         for group in self._summary_groups():
             if group:
                 data = _bytes_of(*group)
                 place = {"group_start": start + len(summary), "group_length": len(data)}
-                offsets.append(SummaryOffset(group_opcode=data[0], **place))
+                offsets.append(records.SummaryOffset(group_opcode=data[0], **place))
                 summary += data
         offset_start = start + len(summary)
         summary += _bytes_of(*offsets)
         summary += FOOTER_START.pack(Opcode.FOOTER, 20, start, offset_start)
         self._stream.write(data_end + summary + zlib.crc32(summary).to_bytes(4, "little") + MAGIC)
 
-    def _summary_groups(self) -> list[list[McapRecord]]:
+    def _summary_groups(self) -> list[list[records.McapRecord]]:
         """Group the records of the summary by opcode, as the specification asks."""
-        statistics = Statistics(
+        statistics = records.Statistics(
             attachment_count=len(self._attachments),
             channel_count=len(self._channels),
             channel_message_counts=self._counts,

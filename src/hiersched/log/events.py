@@ -13,16 +13,12 @@ NS_PER_S = 1_000_000_000
 
 
 class Event(NamedTuple):
-    """Something worth a line: a violated deadline, an infeasible gain, a capped delay.
+    """Something worth a line: a violated deadline, an infeasible gain, a capped delay."""
 
-    `slot` in which it happened; `level` DEBUG, INFO, WARNING, ERROR or FATAL, as in `foxglove.Log`;
-    `name` of the part of the system that speaks, for example ``control``; and the line.
-    """
-
-    slot: int
-    level: str
-    name: str
-    message: str
+    slot: int  # in which it happened
+    level: str  # DEBUG, INFO, WARNING, ERROR or FATAL, as in `foxglove.Log`
+    name: str  # of the part of the system that speaks, for example control
+    message: str  # the line
 
 
 def encode_event(event: Event, slot_ns: int, channel_id: int) -> bytes:

@@ -16,11 +16,7 @@ from functools import cache, lru_cache
 from typing import Any
 
 import numpy as np
-from google.protobuf.descriptor_pb2 import (
-    DescriptorProto,
-    FieldDescriptorProto,
-    FileDescriptorSet,
-)
+from google.protobuf.descriptor_pb2 import DescriptorProto, FieldDescriptorProto, FileDescriptorSet
 from mcap.opcode import Opcode
 from numpy.typing import NDArray
 
@@ -53,18 +49,16 @@ _WIRE_TYPES = {4: 5, 8: 1}
 class RecordLayout:
     """How the messages of one topic lie in a file.
 
-    `dtype` is of one whole Message record: the header, then ``slot`` and the fields, each behind a
-    part ``<name>:tag`` with protobuf's tag and length. `constants` names the parts that are the
-    same in every record, as in `template`, shape (1,). `values` has type and shape of each field of
-    one slot, but for ``slot``. `unknown` names those that today's table does not have, in this type
-    and size: their shape is (n,), as the schema in a file says nothing else.
+    A record is the header, then ``slot`` and the fields, each behind a part ``<name>:tag`` with
+    protobuf's tag and length. Fields that today's table does not have, in this type and size, have
+    the shape (n,), as the schema in a file says nothing else.
     """
 
-    dtype: np.dtype[Any]
-    template: NDArray[Any]
-    constants: tuple[str, ...]
-    values: Mapping[str, tuple[np.dtype[Any], tuple[int, ...]]]
-    unknown: frozenset[str]
+    dtype: np.dtype[Any]  # of one whole Message record
+    template: NDArray[Any]  # shape (1,)
+    constants: tuple[str, ...]  # parts that are the same in every record, as in the template
+    values: Mapping[str, tuple[np.dtype[Any], tuple[int, ...]]]  # type and shape, but for slot
+    unknown: frozenset[str]  # fields that today's table does not have
 
 
 @dataclass(frozen=True)
@@ -144,7 +138,13 @@ def record_layout(
         parts += [(f"{name}:tag", "u1", (value - place,)), (name, dtype, shape)]
         values[name] = dtype, shape
         place = value + nbytes
-    return _layout(parts, values, frozenset(unknown - {"slot"}), record)
+    whole = np.dtype(parts)
+    if whole.itemsize != len(record) or values.pop("slot", None) != (np.dtype("<u8"), ()):
+        raise ValueError("a message does not end with its last field, or has no slot")
+    tags = (name for name, *_ in parts if name.endswith(":tag"))
+    constants = ("header:opcode", "header:length", "header:channel_id", *tags)
+    template = np.frombuffer(record, whole)
+    return RecordLayout(whole, template, constants, values, frozenset(unknown - {"slot"}))
 
 
 @cache
@@ -156,20 +156,6 @@ def _known_shapes(
         (field.name, np.dtype(field.dtype), bool(field.shape)): field.sized(dims.sizes)
         for field in topic.fields
     }
-
-
-def _layout(
-    parts: list[Any],
-    values: dict[str, tuple[np.dtype[Any], tuple[int, ...]]],
-    unknown: frozenset[str],
-    record: bytes,
-) -> RecordLayout:
-    dtype = np.dtype(parts)
-    if dtype.itemsize != len(record) or values.pop("slot", None) != (np.dtype("<u8"), ()):
-        raise ValueError("a message does not end with its last field, or has no slot")
-    tags = (name for name, *_ in parts if name.endswith(":tag"))
-    constants = ("header:opcode", "header:length", "header:channel_id", *tags)
-    return RecordLayout(dtype, np.frombuffer(record, dtype), constants, values, unknown)
 
 
 def _type_of(field: FieldDescriptorProto, wire_type: int) -> tuple[np.dtype[Any], bool]:

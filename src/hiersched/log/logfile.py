@@ -12,20 +12,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import zstandard
+from mcap import records
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import (
-    Attachment,
-    AttachmentIndex,
-    Channel,
-    Chunk,
-    ChunkIndex,
-    Header,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-)
 from mcap.stream_reader import StreamReader
 
 from hiersched.core.fields import fields_from_text
@@ -59,9 +48,9 @@ from hiersched.log.schema import (
 
 T = TypeVar("T")
 _OPCODES: dict[Any, int] = {
-    Header: Opcode.HEADER,
-    Metadata: Opcode.METADATA,
-    Attachment: Opcode.ATTACHMENT,
+    records.Header: Opcode.HEADER,
+    records.Metadata: Opcode.METADATA,
+    records.Attachment: Opcode.ATTACHMENT,
 }
 _FREE = frozenset(
     (
@@ -86,7 +75,7 @@ class TopicIndex:
 
     schema: TopicSchema
     num_messages: int
-    chunks: list[ChunkIndex] = field(default_factory=list)
+    chunks: list[records.ChunkIndex] = field(default_factory=list)
 
 
 class LogFile:
@@ -111,8 +100,8 @@ class LogFile:
             raise self._truncated()
         summary = self._read_summary()
         self._check_data_end(whole)
-        statistics = _of(summary, Statistics)
-        chunks = len(_of(summary, ChunkIndex))
+        statistics = _of(summary, records.Statistics)
+        chunks = len(_of(summary, records.ChunkIndex))
         if len(statistics) != 1 or statistics[0].chunk_count != chunks:
             raise self.fail(self.summary_start, f"the statistics do not fit {chunks} chunks")
         self._take(summary, statistics[0].channel_message_counts)
@@ -130,11 +119,8 @@ class LogFile:
         return LogError(self.path, offset, what)
 
     def _truncated(self) -> LogError:
-        return self.fail(
-            self.size,
-            "the file is truncated: it does not end as an MCAP file has to "
-            "(hiersched recover gets back what there is)",
-        )
+        what = "the file is truncated: it does not end as an MCAP file has to"
+        return self.fail(self.size, f"{what} (hiersched recover gets back what there is)")
 
     def read(self, offset: int, length: int) -> bytes:
         """Read bytes that have to be there."""
@@ -157,12 +143,14 @@ class LogFile:
         with reading(self.path, offset, f"the {kind.__name__}"):
             return kind.read(ReadDataStream(BytesIO(body)))
 
-    def attachment(self, index: AttachmentIndex) -> bytes:
+    def attachment(self, index: records.AttachmentIndex) -> bytes:
         """Read the content of an attachment."""
-        data: bytes = self._record(index.offset, index.length, Attachment, has_crc=True).data
+        data: bytes = self._record(
+            index.offset, index.length, records.Attachment, has_crc=True
+        ).data
         return data
 
-    def chunk_data(self, index: ChunkIndex) -> bytes | memoryview:
+    def chunk_data(self, index: records.ChunkIndex) -> bytes | memoryview:
         """Read the Message records of a chunk: check it, and undo its compression."""
         offset = index.chunk_start_offset
         if self._last_chunk[0] == offset:
@@ -189,7 +177,7 @@ class LogFile:
         self._last_chunk = offset, content
         return content
 
-    def _decompress(self, index: ChunkIndex, data: memoryview) -> bytes | memoryview:
+    def _decompress(self, index: records.ChunkIndex, data: memoryview) -> bytes | memoryview:
         if index.compression == "":
             return data
         offset = index.chunk_start_offset
@@ -209,7 +197,7 @@ class LogFile:
             raise self.fail(0, "this is not an MCAP file")
         if self.size < len(MAGIC) + RECORD_START.size + 8:
             raise self._truncated()
-        self.library: str = self._record(len(MAGIC), None, Header).library
+        self.library: str = self._record(len(MAGIC), None, records.Header).library
         if not re.fullmatch(r"hiersched-log/[1-9][0-9]{0,8}", self.library):
             what = f"this MCAP file is by {self.library!r}, not a log of hiersched"
             raise self.fail(len(MAGIC), what)
@@ -245,10 +233,10 @@ class LogFile:
 
     def _take(self, summary: list[Any], counts: dict[int, int]) -> None:
         """Keep what we need of the summary's records, sorted by topic."""
-        channels = _of(summary, Channel)
-        self.attachment_indexes = _of(summary, AttachmentIndex)
-        self._load_metadata(_of(summary, MetadataIndex), channels)
-        schemas = {schema.id: schema for schema in _of(summary, Schema)}
+        channels = _of(summary, records.Channel)
+        self.attachment_indexes = _of(summary, records.AttachmentIndex)
+        self._load_metadata(_of(summary, records.MetadataIndex), channels)
+        schemas = {schema.id: schema for schema in _of(summary, records.Schema)}
         self.topics: dict[str, TopicIndex] = {}
         with reading(self.path, self.summary_start, "the schemas"):
             for channel in channels:
@@ -263,13 +251,15 @@ class LogFile:
         events = self.topics.get(EVENTS_TOPIC)
         if not events or events.schema.message != EVENTS_SCHEMA or len(by_id) != len(channels):
             raise self.fail(self.summary_start, f"the topics are {[c.topic for c in channels]}")
-        for chunk in _of(summary, ChunkIndex):
+        for chunk in _of(summary, records.ChunkIndex):
             ids = list(chunk.message_index_offsets)
             if len(ids) != 1 or ids[0] not in by_id:
                 raise self.fail(chunk.chunk_start_offset, f"a chunk has channels {ids}")
             by_id[ids[0]].chunks.append(chunk)
 
-    def _load_metadata(self, places: list[MetadataIndex], channels: list[Channel]) -> None:
+    def _load_metadata(
+        self, places: list[records.MetadataIndex], channels: list[records.Channel]
+    ) -> None:
         """Read the metadata record and what it says about sizes."""
         places = [index for index in places if index.name == METADATA_NAME]
         if len(places) != 1:
@@ -278,7 +268,7 @@ class LogFile:
         crc = f"{zlib.crc32(self.read(offset, length)):08x}"
         if any(channel.metadata.get("metadata_crc32") != crc for channel in channels):
             raise self.fail(offset, "the metadata do not match their checksum")
-        metadata: dict[str, str] = self._record(offset, length, Metadata).metadata
+        metadata: dict[str, str] = self._record(offset, length, records.Metadata).metadata
         self.metadata = metadata
         with reading(self.path, offset, "the metadata"):
             self.slot_ns = int(metadata["slot_ns"])
@@ -320,7 +310,7 @@ class LogFile:
                     break
                 with reading(self.path, offset, "a record"):
                     entry = _entry(opcode, body, offset)
-                if isinstance(entry, ChunkIndex):
+                if isinstance(entry, records.ChunkIndex):
                     content = self.chunk_data(entry)
                     with reading(self.path, offset, "a chunk"):
                         _count(entry, content, counts)
@@ -345,8 +335,8 @@ class LogFile:
         return [self.fail(offset, f"{rest} bytes behind the end")] if rest > 0 else []
 
 
-def _of(records: list[Any], kind: type[T]) -> list[T]:
-    return [record for record in records if isinstance(record, kind)]
+def _of(summary: list[Any], kind: type[T]) -> list[T]:
+    return [record for record in summary if isinstance(record, kind)]
 
 
 def _entry(opcode: int, body: bytes, offset: int) -> Any:
@@ -360,16 +350,17 @@ def _entry(opcode: int, body: bytes, offset: int) -> Any:
 
 def _read_entry(opcode: int, stream: ReadDataStream, offset: int, length: int) -> Any:
     if opcode == Opcode.SCHEMA:
-        return Schema.read(stream)
+        return records.Schema.read(stream)
     if opcode == Opcode.CHANNEL:
-        return Channel.read(stream)
+        return records.Channel.read(stream)
     if opcode == Opcode.METADATA:
-        return MetadataIndex(offset=offset, length=length, name=Metadata.read(stream).name)
+        name = records.Metadata.read(stream).name
+        return records.MetadataIndex(offset=offset, length=length, name=name)
     if opcode == Opcode.ATTACHMENT:
-        return attachment_index(Attachment.read(stream), offset, length)
+        return attachment_index(records.Attachment.read(stream), offset, length)
     if opcode == Opcode.CHUNK:
-        chunk = Chunk.read(stream)
-        return ChunkIndex(
+        chunk = records.Chunk.read(stream)
+        return records.ChunkIndex(
             chunk_length=length,
             chunk_start_offset=offset,
             compression=chunk.compression,
@@ -383,7 +374,7 @@ def _read_entry(opcode: int, stream: ReadDataStream, offset: int, length: int) -
     return None
 
 
-def _count(chunk: ChunkIndex, content: bytes | memoryview, counts: dict[int, int]) -> None:
+def _count(chunk: records.ChunkIndex, content: bytes | memoryview, counts: dict[int, int]) -> None:
     """Note the channel of a chunk and how many messages it has; ValueError if its times differ."""
     place, times, channels = 0, [], set()
     while place < len(content):

@@ -26,13 +26,12 @@ _BLOCK_SLOTS = 4096
 class Recovery:
     """What `recover` did.
 
-    `spans` are first slot and slot behind the last of each stretch that is in the new log, at
-    `path`, with `num_events` events. `losses` say what could not be read or was left out, one line
-    each: none if nothing is missing but what never reached the file.
+    `losses` say what could not be read or was left out, one line each: none if nothing is missing
+    but what never reached the file.
     """
 
-    path: Path
-    spans: tuple[tuple[int, int], ...]
+    path: Path  # of the new log
+    spans: tuple[tuple[int, int], ...]  # first slot, and slot behind the last, of each stretch
     num_events: int
     losses: tuple[str, ...]
 

@@ -29,10 +29,8 @@ from hiersched.log.layout import (
 )
 from hiersched.log.reader import LogReader
 from hiersched.log.schema import (
-    EVENTS_SCHEMA,
     EVENTS_TOPIC,
     LIBRARY,
-    METADATA_NAME,
     MODEL_FIELDS,
     SCHEMA_VERSION,
     TOPICS_CRC,
@@ -57,7 +55,7 @@ def _own_schemas(topics: tuple[Topic, ...], dims: LogDims, profile: str) -> dict
         message = find_message(descriptors, topic.message)
         layout = record_layout(topic.name, message, dims, record)
         schemas[topic.name] = TopicSchema(channel_id, topic.message, descriptors, layout)
-    events = TopicSchema(len(topics) + 1, EVENTS_SCHEMA, schema.event_descriptors())
+    events = TopicSchema(len(topics) + 1, schema.EVENTS_SCHEMA, schema.event_descriptors())
     return {**schemas, EVENTS_TOPIC: events}
 
 
@@ -204,7 +202,7 @@ class LogWriter:
         self._stream = open(self._part, "wb")
         library = like.library if like else LIBRARY
         self._container = Container(self._stream, library=library, compression=compression)
-        crc = self._container.add_metadata(METADATA_NAME, dict(sorted(text.items())))
+        crc = self._container.add_metadata(schema.METADATA_NAME, dict(sorted(text.items())))
         for name, data in sorted(files.items()):
             self._container.add_attachment(name, data)
         # Channels are repeated in the summary, whose checksum thereby covers the metadata.

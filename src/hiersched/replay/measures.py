@@ -71,9 +71,7 @@ def batch_means(log: LogReader, count: int, batches: int) -> list[tuple[str, str
     return found
 
 
-def _series(
-    log: LogReader,
-) -> Iterator[tuple[str, str, float, NDArray[Any], NDArray[Any] | None]]:
+def _series(log: LogReader) -> Iterator[tuple[str, str, float, NDArray[Any], NDArray[Any] | None]]:
     """Yield name, unit, scale, values (T, ...) and, of shares, what they are shares of."""
     fields: dict[str, NDArray[Any]] = {}
     for topic in log.topics:

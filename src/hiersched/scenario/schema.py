@@ -19,19 +19,7 @@ from hiersched.core.parameters import (
     Seed,
     Share,
 )
-from hiersched.models.model import (
-    ARRIVALS,
-    FADING,
-    LINK,
-    PATH_LOSS,
-    PLANT,
-    QUEUE,
-    REPORT,
-    Arrivals,
-    Model,
-    PathLoss,
-    Plant,
-)
+from hiersched.models import model
 from hiersched.policies.find import ImportedPolicy
 from hiersched.policies.registry import Rule
 from hiersched.scenario.choice import chosen_from, policy_entry
@@ -69,10 +57,10 @@ class Radio(_Strict):
     num_prb: Annotated[int, Field(ge=1, le=512)]
     tx_power_dbm: float
     noise_dbm: float
-    path_loss: Annotated[PathLoss, chosen_from(PATH_LOSS)]
-    fading: Annotated[Model, chosen_from(FADING)]
-    report: Annotated[Model, chosen_from(REPORT)]
-    link: Annotated[Model, chosen_from(LINK)]
+    path_loss: Annotated[model.PathLoss, chosen_from(model.PATH_LOSS)]
+    fading: Annotated[model.Model, chosen_from(model.FADING)]
+    report: Annotated[model.Model, chosen_from(model.REPORT)]
+    link: Annotated[model.Model, chosen_from(model.LINK)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,8 +78,8 @@ class Traffic(_Strict):
     reliability: Share
     embb_reliability: Share
     reliability_levels: Annotated[tuple[Share, ...], NonEmpty]
-    arrivals: Annotated[Arrivals, chosen_from(ARRIVALS)]
-    queue: Annotated[Model, chosen_from(QUEUE)]
+    arrivals: Annotated[model.Arrivals, chosen_from(model.ARRIVALS)]
+    queue: Annotated[model.Model, chosen_from(model.QUEUE)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -293,7 +281,7 @@ class Scenario(_Strict):
     objective: Objective
     schedulers: Schedulers
     robot: Robot
-    plant: Annotated[Plant, chosen_from(PLANT)]
+    plant: Annotated[model.Plant, chosen_from(model.PLANT)]
     control: Control
     policies: Mapping[PolicyName, Annotated[Rule | ImportedPolicy, policy_entry()]] = field(
         hash=False
@@ -338,9 +326,9 @@ class Scenario(_Strict):
         return delay_steps(self.control.max_delay_s, self.control.sampling_s)
 
 
-def model_at(scenario: Scenario, key: str) -> Model:
+def model_at(scenario: Scenario, key: str) -> model.Model:
     """Return the model at a dotted key of `models.model.SECTIONS`."""
-    found: Model = attrgetter(key)(scenario)
+    found: model.Model = attrgetter(key)(scenario)
     return found
 
 
