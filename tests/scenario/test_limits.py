@@ -71,7 +71,8 @@ def test_defaults_are_those_of_the_package(tmp_path, monkeypatch):
         ),
         ("robot: {speed_mps: 1.0e-9}", "no gain can be designed for this plant"),
         (
-            f"sweeps: {{axes: {{big: {{vary: {{traffic.load: {LOADS}, radio.tx_power_dbm: {LOADS}}}}}}}}}",
+            f"sweeps: {{axes: {{big: {{vary: {{traffic.load: {LOADS}, "
+            f"radio.tx_power_dbm: {LOADS}}}}}}}}}",
             "1600 points, must be at most 1000",
         ),
     ],
