@@ -424,7 +424,7 @@ WHERE = {
         "hiersched.study.figures.style:policy_look",
     ),
     "the numbers of a claim, and its range": ("hiersched.study.claims.judged",),
-    "the rule of the verdicts": ("hiersched.study.claims.verdicts:verdict_of",),
+    "the rule of the verdicts": ("hiersched.study.claims.verdicts:Judged",),
     "what `hiersched replay` compares": ("hiersched.replay.verify:verify",),
     "what a command takes": ("hiersched.cli.run:add_commands",),
 }
