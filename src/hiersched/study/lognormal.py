@@ -67,20 +67,9 @@ of the late shares of this study's policies between worlds."""
 def mean_bounds(positive: FloatArray, zeros: int, level: float) -> tuple[float, float]:
     """Return the bounds of the mean of a sample of positive values and zeros.
 
-    Parameters
-    ----------
-    positive
-        Positive values, shape (n,), one or more. A single one shows no spread: its logarithm is
-        taken to spread by `SINGLE_SPREAD`.
-    zeros
-        Zeros in the sample.
-    level
-        Coverage; as much is left out below as above.
-
-    Returns
-    -------
-    tuple of float
-        Lower and upper bound; the upper one is infinite beyond `MOST_OVER_MEAN`.
+    The positive values have shape (n,), one or more. A single one shows no spread: its logarithm is
+    taken to spread by `SINGLE_SPREAD`. Of the coverage `level` as much is left out below as above;
+    the upper bound is infinite beyond `MOST_OVER_MEAN`.
     """
     logs = np.log(positive)
     sigma, sigma_weight = _sigmas(logs, NODES)
@@ -95,17 +84,8 @@ def mean_bounds(positive: FloatArray, zeros: int, level: float) -> tuple[float, 
 def crossed_bounds(values: FloatArray, level: float) -> tuple[float, float]:
     """Return the bounds of the mean of values of policies crossed with worlds.
 
-    Parameters
-    ----------
-    values
-        0 or above, shape (P, W), not all 0; P and W two or more.
-    level
-        Coverage; as much is left out below as above.
-
-    Returns
-    -------
-    tuple of float
-        Lower and upper bound; the upper one is infinite beyond `MOST_OVER_MEAN`.
+    Values are 0 or above, shape (P, W), not all 0; P and W two or more. Bounds are as of
+    `mean_bounds`.
     """
     start = math.log(float(values.mean()))
     by_policy, by_world = (_Part.of(values.mean(axis=axis)) for axis in (1, 0))

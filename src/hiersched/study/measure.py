@@ -111,14 +111,9 @@ def measured_files(scenario: Scenario, group: str) -> list[str]:
 def measure(scenario: Scenario, results: Path, group: str) -> None:
     """Read every log of a group once and write its tables.
 
-    Raises
-    ------
-    FileNotFoundError
-        If a log of the scenario's policies and seeds is missing, or measures of runs without one.
-    LogError
-        If a log is damaged or contradicts itself.
-    ValueError
-        If a learner's policies are not those of its training seeds, each in every world.
+    FileNotFoundError if a log is missing, or measures of runs without one; LogError if a log is
+    damaged or contradicts itself; ValueError if a learner's policies are not those of its training
+    seeds, each in every world.
     """
     names = measured_groups(scenario)[group]
     tables: Table = {name: [] for name in names}

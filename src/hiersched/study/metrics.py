@@ -112,18 +112,8 @@ MEASURED = (
 def run_metrics(path: str | os.PathLike[str], scenario: Scenario) -> RunMetrics:
     """Measure one run from its log.
 
-    Parameters
-    ----------
-    path
-        Log of an evaluation or a sweep, from the first slot on.
-    scenario
-        Gives deadlines, reliability levels and window.
-
-    Raises
-    ------
-    LogError
-        If the log is damaged, or its backlogs or late packets are not those that follow from its
-        arrivals and service.
+    LogError if the log is damaged, or its backlogs or late packets are not those that follow from
+    its arrivals and service.
     """
     return slot_metrics(read_slots(path, MEASURED), scenario)
 
@@ -195,19 +185,9 @@ def measured_row(run: RunSlots, scenario: Scenario) -> dict[str, Any]:
 
 
 def tracking_error_by_window_cm(tracking_error_m: FloatArray, slots_per_window: int) -> FloatArray:
-    """Return the root mean square tracking error of whole windows.
+    """Return the root mean square tracking error of whole windows [cm], by robot.
 
-    Parameters
-    ----------
-    tracking_error_m
-        Root mean square over each slot [m], shape (T, R).
-    slots_per_window
-        Slots of a window; the slots behind the last whole window are left out.
-
-    Returns
-    -------
-    ndarray
-        Centimetres, shape (T // slots_per_window, R).
+    From that over each slot [m], shape (T, R), to shape (T // slots_per_window, R).
     """
     windows = len(tracking_error_m) // slots_per_window
     square = tracking_error_m[: windows * slots_per_window] ** 2
@@ -224,10 +204,7 @@ def slots_per_window(scenario: Scenario) -> int:
 def checked_sojourns(run: RunSlots, scenario: Scenario) -> list[FloatArray]:
     """Return the sojourn times [s] of delivered packets that arrived behind the warm-up, by user.
 
-    Raises
-    ------
-    LogError
-        If the run's backlogs or late packets do not follow from its arrivals and service.
+    LogError if the run's backlogs or late packets do not follow from its arrivals and service.
     """
     arrivals, service = run.fields["arrivals_packets"], run.fields["service_packets"]
     backlog = backlog_path(arrivals, service)

@@ -15,28 +15,12 @@ def sample_of(
 ) -> NDArray[np.float64]:
     """Return a measure of one policy under one condition.
 
-    Parameters
-    ----------
-    runs
-        One row a run, from `collect.runs_frame`. Without a column `policy_seed`, and where that is
-        empty, they are of a rule.
-    name
-        A measure.
-    worlds
-        Their order; that of the rows unless given.
-
-    Returns
-    -------
-    ndarray
-        Of a rule shape (W,), of a learned policy shape (P, W), training seeds in the order of the
-        rows.
-
-    Raises
-    ------
-    ValueError
-        If not every policy ran once in every world.
+    Runs are one a row; without a column `policy_seed`, and where that is empty, they are of a rule.
+    The sample of a rule has shape (W,), of a learned policy (P, W): training seeds in the order of
+    the rows, and so `worlds` unless their order is given. ValueError if not every policy ran once
+    in every world.
     """
-    worlds = worlds_of(runs) if worlds is None else worlds
+    worlds = list(dict.fromkeys(runs["seed"])) if worlds is None else worlds
     learned = is_learned(runs)
     trained = runs["policy_seed"].tolist() if learned else [0] * len(runs)
     policies = list(dict.fromkeys(trained))
@@ -56,11 +40,6 @@ def is_learned(runs: pd.DataFrame) -> bool:
     return "policy_seed" in runs and bool(runs["policy_seed"].notna().all()) and len(runs) > 0
 
 
-def worlds_of(runs: pd.DataFrame) -> list[int]:
-    """Return the worlds in which runs took place, in the order of `sample_of`."""
-    return list(dict.fromkeys(runs["seed"]))
-
-
 def counts(runs: pd.DataFrame) -> dict[str, int]:
     """Return columns of a table: worlds, and training seeds, 0 of a rule."""
     trained = runs["policy_seed"].nunique() if is_learned(runs) else 0
@@ -72,19 +51,15 @@ def paired(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return samples of two policies in the same worlds, by world and training seed.
 
-    Of two learned policies the k-th training seeds are paired, as many as both have.
-
-    Raises
-    ------
-    ValueError
-        If they did not run in the same worlds.
+    Of two learned policies the k-th training seeds are paired, as many as both have. ValueError if
+    they did not run in the same worlds.
     """
-    worlds = worlds_of(own)
-    if set(worlds) != set(worlds_of(other)):
+    worlds = list(dict.fromkeys(own["seed"]))
+    if set(worlds) != set(other["seed"]):
         raise ValueError(
             f"{own['policy'].iloc[0]} and {other['policy'].iloc[0]} did not run in the same worlds"
         )
-    a, b = sample_of(own, name), sample_of(other, name, worlds)
+    a, b = (sample_of(runs, name, worlds) for runs in (own, other))
     if a.ndim == b.ndim == 2:
         common = min(len(a), len(b))
         a, b = a[:common], b[:common]

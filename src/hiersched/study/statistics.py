@@ -60,16 +60,8 @@ class Interval(NamedTuple):
 def mean_interval(values: npt.ArrayLike) -> Interval:
     """Return the mean and its Student t interval, mean +- t s / sqrt(n).
 
-    Parameters
-    ----------
-    values
-        One value a seed, shape (n,), or of policies crossed with worlds, shape (P, W). A NaN makes
-        all of the result NaN.
-
-    Raises
-    ------
-    ValueError
-        If there is no value.
+    Values are one a seed, shape (n,), or of policies crossed with worlds, shape (P, W). A NaN makes
+    all of the result NaN; ValueError if there is no value.
     """
     sample = _sample(values)
     mean = float(sample.mean())
@@ -148,13 +140,8 @@ def smallest_mean(count: int, resolution: float) -> float:
     (1 - p)^count. Above p = 1 - (1 - LEVEL)^(1 / count) that is rarer than 1 - LEVEL; a world in
     which it is seen shows at least `resolution`.
 
-    Parameters
-    ----------
-    count
-        Worlds, n.
-    resolution
-        Least value above 0 that a world can show. Of late packets: those of a batch, which come
-        and are late together, over all that are due.
+    Of late packets the resolution is those of a batch, which come and are late together, over all
+    that are due.
     """
     return float((1.0 - (1.0 - LEVEL) ** (1.0 / count)) * resolution)
 
@@ -173,14 +160,10 @@ def log_ratios(
 ) -> FloatArray:
     """Return the logarithm of the ratio of two positive measures, world by world.
 
-    Parameters
-    ----------
-    values, baseline
-        One value a world, shape (n,), in the same order of worlds; either may be of policies
-        crossed with worlds, shape (P, n), and both of as many policies.
-    resolution
-        Least value above 0 that a world can show: stands for values of 0, whose ratio it bounds
-        from above, and for baselines of 0, whose ratio it bounds from below.
+    Both have one value a world, shape (n,), in the same order of worlds, or are of policies crossed
+    with worlds, shape (P, n), and then of as many policies. The least value above 0 that a world
+    can show, `resolution`, stands for values of 0, whose ratio it bounds from above, and for
+    baselines of 0, whose ratio it bounds from below.
 
     Returns
     -------
@@ -205,17 +188,8 @@ def paired_log_ratio(
     Where values are 0, the ratio and its upper bound are upper bounds (see `log_ratios`), and the
     lower bound is 0. Where baselines are, ratio and lower bound are lower bounds, and the upper
     bound is infinite. All is NaN where values and baselines are, be it in different worlds, since
-    nothing bounds the ratio then, and where there is no resolution to stand for a 0.
-
-    Parameters
-    ----------
-    values, baseline, resolution
-        As for `log_ratios`.
-
-    Raises
-    ------
-    ValueError
-        If the samples are empty or not of as many worlds or policies.
+    nothing bounds the ratio then, and where there is no resolution to stand for a 0. ValueError if
+    samples are empty or not of as many worlds or policies.
     """
     mean, lo, hi = mean_interval(log_ratios(values, baseline, resolution))
     no_value, no_baseline = ((_sample(sample) == 0.0).any() for sample in (values, baseline))
@@ -233,12 +207,7 @@ def halvings(count: int) -> list[tuple[IntArray, IntArray]]:
     """Return the ways to halve `count` seeds, each once: 126 for ten, none for fewer than two.
 
     Halves of an odd number differ by one. Of more than `MOST_HALVINGS` ways in lexicographic order,
-    as many evenly spaced ones are taken.
-
-    Returns
-    -------
-    list of tuple of ndarray
-        The positions of the seeds of both halves, shapes (count // 2,) and the rest.
+    as many evenly spaced ones are taken. A half are the positions of its seeds.
     """
     if count < 2:
         return []
@@ -256,18 +225,9 @@ def probability_of_improvement(values: npt.ArrayLike, baseline: npt.ArrayLike) -
     Over all pairs of a value and one of the baseline, equal ones counting half (Mann and Whitney's
     statistic); both samples are resampled on their own, policies and worlds of crossed values too
     (pigeonhole bootstrap). Where no pair is out of order the bounds meet at 0 or 1: a bootstrap
-    cannot know of values that were never seen.
-
-    Parameters
-    ----------
-    values, baseline
-        One value a seed, shapes (n,) and (m,), the values also of policies crossed with worlds,
-        shape (P, n); of measures of which less is better.
-
-    Raises
-    ------
-    ValueError
-        If a sample is empty.
+    cannot know of values that were never seen. Less is better. There is one value a seed, shapes
+    (n,) and (m,), the values also of policies crossed with worlds, shape (P, n); ValueError if a
+    sample is empty.
     """
     from scipy.stats import bootstrap
 

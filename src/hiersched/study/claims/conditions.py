@@ -56,14 +56,8 @@ def trained(
     Beside them stand, and do not count: the controls that learn nothing, without noise too, and
     what training shows of learners and controls, exploration noise included.
 
-    Parameters
-    ----------
-    study
-        Checkpoints and training of its learners are used.
-    measure
-        From the checkpoints of a learner, and of its control if there is one, to its statements.
-    noisy
-        From a training and the episodes that ran side by side in it to statements.
+    The measure gets the checkpoints of a learner, and of its control if there is one; `noisy` gets
+    a training and the number of episodes that ran side by side in it.
     """
     scenario, checkpoints = study.scenario, study.checkpoints
     conditions = []
@@ -86,16 +80,8 @@ def trained(
 def evaluated(study: Study, measure: Measure, *, needs: str = "", beside: bool = False) -> Judged:
     """Judge the evaluation, then other learned policies and every point of every sweep.
 
-    Parameters
-    ----------
-    study
-        What was run.
-    measure
-        What is stated of the runs of one condition.
-    needs
-        A policy that the measure needs besides.
-    beside
-        Whether to show the classical schedulers of the evaluation too.
+    Nothing is stated where a policy that the measure `needs` besides is missing. The classical
+    schedulers of the evaluation are shown too if they are wanted `beside`.
     """
     scenario, runs = study.scenario, study.evaluation
     learned, own = _learned_and_own(scenario)
@@ -119,16 +105,9 @@ def evaluated(study: Study, measure: Measure, *, needs: str = "", beside: bool =
 
 
 def swept(study: Study, key: str, measure: Measure) -> Judged:
-    """Judge a sweep under every policy that it has; the learned ones count.
+    """Judge the sweep of a key under every policy that it has; the learned ones count.
 
-    Parameters
-    ----------
-    study
-        What was run.
-    key
-        What the axis varies; a single value of it says nothing.
-    measure
-        What is stated of the runs along the axis.
+    The measure gets the runs along the axis; a single value says nothing.
     """
     along = study.sweeps[study.sweeps["axis"] == axis_of(study.scenario, key)]
     learned, own = _learned_and_own(study.scenario)
@@ -143,12 +122,7 @@ def swept(study: Study, key: str, measure: Measure) -> Judged:
 def by_coefficient(study: Study, measure: Measure) -> tuple[Condition, ...]:
     """Judge the own learner at both ends of the sampling interval, for every coefficient beta.
 
-    Parameters
-    ----------
-    study
-        What was run.
-    measure
-        What is stated of the runs at both ends, `value` the sampling interval.
+    The measure gets the runs at both ends, `value` is the sampling interval.
     """
     scenario, runs = study.scenario, study.sweeps
     own, axis = scenario.learning.algorithm, axis_of(scenario, COEFFICIENT, SAMPLING)

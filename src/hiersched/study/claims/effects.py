@@ -73,16 +73,8 @@ def slope(
 ) -> Measured:
     """Measure the least-squares slope of a measure along a sweep, one slope a world.
 
-    Of a learned policy, one for each of its policies in each world.
-
-    Parameters
-    ----------
-    along
-        Runs of one axis, from `Study.sweeps`.
-    policy, measure
-        Which runs, which column.
-    position
-        Where the runs of one policy in one world lie on the axis, shape (n,).
+    Of a learned policy, one for each of its policies in each world. The runs are `along` one axis;
+    `position` says where those of one policy in one world lie on it, shape (n,).
     """
     own = along[along["policy"] == policy]
     keys = ["policy_seed", "seed"] if is_learned(own) else ["seed"]

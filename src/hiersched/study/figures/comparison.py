@@ -15,22 +15,7 @@ from hiersched.experiments.points import BASELINE
 from hiersched.policies.registry import Look
 from hiersched.scenario import Scenario
 from hiersched.study.claims.conditions import learners
-from hiersched.study.figures.style import (
-    GREY,
-    PANEL_HEIGHT_IN,
-    arrows_text,
-    caption,
-    draw_curve,
-    draw_mark,
-    draw_series,
-    log_axis_with_zero,
-    new_figure,
-    note_at,
-    policy_look,
-    share_intervals,
-    shared_legend,
-    zero_floor,
-)
+from hiersched.study.figures import style
 from hiersched.study.registry import (
     axis_of,
     figure,
@@ -85,14 +70,13 @@ def draw_load(study: Study) -> Figure:
     )
     for panel in axes:
         panel.set_xticks(_loads(scenario))
-    shared_legend(figure, axes[0], columns=6)
-    caption(
+    style.shared_legend(figure, axes[0], columns=6)
+    style.caption(
         figure,
         f"Mean and 95 % interval over {len(scenario.sweeps.seeds)} worlds, of the learned policy "
-        "also over training seeds; bars leave "
-        "logarithmic axes, or end at 0 in (a), where they include 0. Grey line in (a): the share "
-        f"1 − χ that is allowed; below the dotted line: 0.{_open_marks(table)}"
-        f"{_load_arrows(table)} The axes of (b) and (d) do not start at 0.",
+        "also over training seeds; bars leave logarithmic axes, or end at 0 in (a), where they "
+        "include 0. Grey line in (a): the share 1 − χ that is allowed; below the dotted line: "
+        f"0.{_open_marks(table)}{_load_arrows(table)} The axes of (b) and (d) do not start at 0.",
     )
     return figure
 
@@ -118,14 +102,12 @@ def draw_learners(study: Study) -> Figure:
     figure, axes = _draw_load_panels(table, scenario, policies, side_by_side, dashes="none")
     for panel in axes:
         panel.set_xticks(np.arange(len(loads)), [f"{load:g}" for load in loads])
-    shared_legend(figure, axes[0], columns=4)
-    caption(
+    style.shared_legend(figure, axes[0], columns=4)
+    style.caption(
         figure,
-        f"Mean and 95 % interval over {len(scenario.sweeps.seeds)} worlds, of "
-        "learned policies also over training seeds. Grey line in (a): the share 1 − χ that is "
-        "allowed; below the "
-        f"dotted line: 0.{_load_arrows(table)} The axes of (b) and (d) do not start "
-        "at 0.",
+        f"Mean and 95 % interval over {len(scenario.sweeps.seeds)} worlds, of learned policies "
+        "also over training seeds. Grey line in (a): the share 1 − χ that is allowed; below the "
+        f"dotted line: 0.{_load_arrows(table)} The axes of (b) and (d) do not start at 0.",
     )
     return figure
 
@@ -144,16 +126,16 @@ def _draw_load_panels(
     `places` says where the rows of a policy, of some number, lie; `fits` has to fit the axis of
     late shares; `look` replaces parts of the looks.
     """
-    figure, axes = new_figure(2, rows=2, height_in=2.15 * PANEL_HEIGHT_IN)
+    figure, axes = style.new_figure(2, rows=2, height_in=2.15 * style.PANEL_HEIGHT_IN)
     for panel, (measure, title, label), letter in zip(axes, LOAD_PANELS, "abcd", strict=True):
-        floor = zero_floor(table[LATE_BOUNDS]) if measure == LATE else None
+        floor = style.zero_floor(table[LATE_BOUNDS]) if measure == LATE else None
         for number, policy in enumerate(policies):
             own = table[table["policy"] == policy]
-            style = policy_look(policy, scenario)._replace(**look)
-            draw_series(panel, places(own, number), own, measure, style, floor=floor)
+            drawn = style.policy_look(policy, scenario)._replace(**look)
+            style.draw_series(panel, places(own, number), own, measure, drawn, floor=floor)
         if floor is not None:
-            log_axis_with_zero(panel, floor, np.append(table[LATE_BOUNDS], fits))
-            panel.axhline(1.0 - scenario.traffic.reliability, color=GREY, linewidth=0.9)
+            style.log_axis_with_zero(panel, floor, np.append(table[LATE_BOUNDS], fits))
+            panel.axhline(1.0 - scenario.traffic.reliability, color=style.GREY, linewidth=0.9)
         elif _spans_decades(table, measure):
             panel.set_yscale("log")
         xlabel = "offered load, relative to the nominal loads [1]"
@@ -170,7 +152,7 @@ def _loads(scenario: Scenario) -> list[float]:
 
 
 def _load_arrows(table: pd.DataFrame) -> str:
-    return arrows_text(table[[f"{measure}_hi" for measure, *_ in LOAD_PANELS]])
+    return style.arrows_text(table[[f"{measure}_hi" for measure, *_ in LOAD_PANELS]])
 
 
 def _spans_decades(table: pd.DataFrame, measure: str) -> bool:
@@ -200,18 +182,18 @@ def draw_delay(study: Study) -> Figure:
     """
     scenario, bottom = study.scenario, 1e-4
     tails = _with_one_learner(delay_tails(study), scenario)
-    figure, axes = new_figure(height_in=1.15 * PANEL_HEIGHT_IN, sharey=True)
+    figure, axes = style.new_figure(height_in=1.15 * style.PANEL_HEIGHT_IN, sharey=True)
     every = list(dict.fromkeys(tails["policy"]))
     chosen = [name for name in every if name in shown_policies(scenario)]
     _draw_tails(axes[0], tails, chosen, scenario, bottom)
     _draw_tails(axes[1], tails, every, scenario, bottom, alpha=0.0)
     for panel, title in zip(axes, ("(a) compared", "(b) all policies"), strict=True):
         panel.axvline(1e3 * scenario.traffic.deadline_s, color="black", linewidth=0.9, zorder=1)
-        panel.axhline(1.0 - scenario.traffic.reliability, color=GREY, linewidth=0.9, zorder=1)
+        panel.axhline(1.0 - scenario.traffic.reliability, color=style.GREY, linewidth=0.9, zorder=1)
         panel.set_title(f"{title}: delay of delivered URLLC packets")
     axes[0].set_ylabel("share of packets that took longer [1]")
-    shared_legend(figure, axes[1], columns=6)
-    caption(
+    style.shared_legend(figure, axes[1], columns=6)
+    style.caption(
         figure,
         f"Mean over {len(scenario.evaluate.seeds)} worlds, world i under the learned policy of "
         "training seed i; bands in (a): Student t 95 % interval. "
@@ -230,34 +212,34 @@ def draw_delay(study: Study) -> Figure:
 def draw_pareto(study: Study) -> Figure:
     """Draw every policy by its eMBB rate and its URLLC violations, and its tracking error."""
     scenario, policies = study.scenario, policy_table(study)
-    figure, axes = new_figure(height_in=1.15 * PANEL_HEIGHT_IN)
-    rate, floor = "embb_rate_mbps", zero_floor(policies[LATE_BOUNDS])
+    figure, axes = style.new_figure(height_in=1.15 * style.PANEL_HEIGHT_IN)
+    rate, floor = "embb_rate_mbps", style.zero_floor(policies[LATE_BOUNDS])
     floors = {LATE: floor, "tracking_error_cm": -np.inf}
     for row in policies.to_dict("records"):
-        look = policy_look(str(row["policy"]), scenario)
+        look = style.policy_look(str(row["policy"]), scenario)
         up_and_down = [[row[rate] - row[f"{rate}_lo"]], [row[f"{rate}_hi"] - row[rate]]]
-        style = {"yerr": up_and_down, "linestyle": "none", "elinewidth": 0.9, "label": look.label}
+        drawn = {"yerr": up_and_down, "linestyle": "none", "elinewidth": 0.9, "label": look.label}
         for panel, (measure, low) in zip(axes, floors.items(), strict=True):
             hollow = not row[measure] > 0.0
-            draw_mark(panel, row, measure, row[rate], look, floor=low, hollow=hollow, **style)
+            style.draw_mark(panel, row, measure, row[rate], look, floor=low, hollow=hollow, **drawn)
     for panel, (measure, low) in zip(axes, floors.items(), strict=True):
         front = pareto_front(policies, measure, rate)
         x = front[measure].astype(float).clip(lower=max(low, 0.0))
-        panel.step(x, front[rate], where="post", color=GREY, linewidth=0.8, zorder=1)
+        panel.step(x, front[rate], where="post", color=style.GREY, linewidth=0.8, zorder=1)
         panel.set_ylabel("eMBB rate per user [Mbit/s]")
-    log_axis_with_zero(axes[0], floor, policies[LATE_BOUNDS], which="x")
+    style.log_axis_with_zero(axes[0], floor, policies[LATE_BOUNDS], which="x")
     axes[0].set_title("(a) eMBB rate against URLLC violations")
     axes[0].set_xlabel("late share of due URLLC packets [1]")
     axes[1].set_title("(b) eMBB rate against tracking error")
     axes[1].set_xlabel("tracking error of the robots [cm]")
-    shared_legend(figure, axes[0], columns=5)
-    caption(
+    style.shared_legend(figure, axes[0], columns=5)
+    style.caption(
         figure,
         f"Means and 95 % intervals over {len(scenario.evaluate.seeds)} worlds, of learned policies "
         "also over training seeds. Up and "
         "left is better. Grey steps: the policies that no other beats in both means. Left of the "
         f"dotted line in (a): 0.{_open_marks(policies)}"
-        f"{arrows_text(policies['tracking_error_cm_hi'])} Other axes do not start at 0.",
+        f"{style.arrows_text(policies['tracking_error_cm_hi'])} Other axes do not start at 0.",
     )
     return figure
 
@@ -282,18 +264,18 @@ def pareto_front(policies: pd.DataFrame, less: str, more: str) -> pd.DataFrame:
 def draw_bound(study: Study) -> Figure:
     """Draw the distance of decisions from the exact optimum of their slots."""
     scenario, bound = study.scenario, bound_table(study)
-    figure, axes = new_figure(height_in=1.25 * PANEL_HEIGHT_IN, sharey=True)
+    figure, axes = style.new_figure(height_in=1.25 * style.PANEL_HEIGHT_IN, sharey=True)
     by_decider = bound.set_index(["states_of", "decider"], drop=False)
     own = bound[bound["decider"] == bound["states_of"]].sort_values("gap", ascending=False)
-    looks = [policy_look(name, scenario) for name in own["states_of"]]
-    greedy, greedy_look = "drift_plus_penalty", Look("", GREY, "none", "D")
-    floor = zero_floor(bound["gap"])
+    looks = [style.policy_look(name, scenario) for name in own["states_of"]]
+    greedy, greedy_look = "drift_plus_penalty", Look("", style.GREY, "none", "D")
+    floor = style.zero_floor(bound["gap"])
 
     def mark(panel: Axes, asked: tuple[str, str], y: float, look: Look, hollow: bool) -> None:
         if asked in by_decider.index:
             row, size = by_decider.loc[asked], 3.0 if hollow else 5.0
-            style: dict[str, Any] = {"markersize": size, "elinewidth": 0.9}
-            draw_mark(panel, row, "gap", y, look, floor=floor, hollow=hollow, **style)
+            drawn: dict[str, Any] = {"markersize": size, "elinewidth": 0.9}
+            style.draw_mark(panel, row, "gap", y, look, floor=floor, hollow=hollow, **drawn)
 
     for row, (name, look) in enumerate(zip(own["states_of"], looks, strict=True)):
         mark(axes[0], (name, name), row, look, hollow=False)
@@ -301,20 +283,19 @@ def draw_bound(study: Study) -> Figure:
             mark(axes[0], (name, greedy), row - 0.3, greedy_look, hollow=True)
         mark(axes[1], (greedy, name), row, look, hollow=False)
     for panel in axes:
-        log_axis_with_zero(panel, floor, bound[["gap", "gap_hi"]], which="x")
+        style.log_axis_with_zero(panel, floor, bound[["gap", "gap_hi"]], which="x")
         panel.set_xlabel("Lagrangian above the exact optimum [packets²]")
         panel.grid(visible=False, axis="y")
     axes[0].set_yticks(range(len(looks)), [look.label for look in looks])
     axes[0].set_title("(a) in the states a policy gets into")
     axes[1].set_title("(b) all in the states of drift-plus-penalty")
-    caption(
+    style.caption(
         figure,
-        f"Mean over {scenario.bound.slots_per_log} slots of each of "
-        f"{len(scenario.evaluate.seeds)} worlds; bars: Student "
-        "t 95 % intervals over worlds, world i under the learned policy of training seed i, "
-        "cut where they include 0. Small grey diamonds in (a): what "
-        "the greedy rule would have lost in the same states. The optimum is a mixed-integer "
-        f"programme; what its bound leaves open is at most {bound['uncertified'].max():.2g}.",
+        f"Mean over {scenario.bound.slots_per_log} slots of each of {len(scenario.evaluate.seeds)} "
+        "worlds; bars: Student t 95 % intervals over worlds, world i under the learned policy of "
+        "training seed i, cut where they include 0. Small grey diamonds in (a): what the greedy "
+        "rule would have lost in the same states. The optimum is a mixed-integer programme; what "
+        f"its bound leaves open is at most {bound['uncertified'].max():.2g}.",
     )
     return figure
 
@@ -339,7 +320,7 @@ def delay_tails(study: Study) -> pd.DataFrame:
     for policy in study.scenario.evaluate.policies:
         own = delays[delays["policy"] == policy]
         shares = own.pivot(index="delay_s", columns="seed", values="share").sort_index()
-        intervals = share_intervals(shares.to_numpy())
+        intervals = style.share_intervals(shares.to_numpy())
         frames.append(intervals.assign(policy=policy, delay_s=shares.index))
     return pd.concat(frames, ignore_index=True)
 
@@ -354,17 +335,17 @@ def draw_generalise(study: Study) -> Figure:
     """Draw late share and backlog of policies in cells of other sizes, beside the schedulers."""
     scenario, table = study.scenario, generalisation_table(study)
     cells = table[table["axis"] == "cell"]
-    figure, axes = new_figure(height_in=1.1 * PANEL_HEIGHT_IN)
+    figure, axes = style.new_figure(height_in=1.1 * style.PANEL_HEIGHT_IN)
     values = list(dict.fromkeys(cells["value"]))
     policies = list(dict.fromkeys(cells["policy"]))
-    floor = zero_floor(cells[LATE_BOUNDS])
+    floor = style.zero_floor(cells[LATE_BOUNDS])
     for number, policy in enumerate(policies):
         own = cells[cells["policy"] == policy].set_index("value").loc[values]
         x = np.arange(len(values)) + 0.11 * (number - 0.5 * (len(policies) - 1))
-        look = policy_look(policy, scenario)._replace(dashes="none")
-        draw_series(axes[0], x, own, LATE, look, floor=floor)
-        draw_series(axes[1], x, own, BACKLOG, look)
-    log_axis_with_zero(axes[0], floor, cells[LATE_BOUNDS])
+        look = style.policy_look(policy, scenario)._replace(dashes="none")
+        style.draw_series(axes[0], x, own, LATE, look, floor=floor)
+        style.draw_series(axes[1], x, own, BACKLOG, look)
+    style.log_axis_with_zero(axes[0], floor, cells[LATE_BOUNDS])
     if (cells[BACKLOG] > 0.0).all():
         axes[1].set_yscale("log")
     for panel in axes:
@@ -372,15 +353,14 @@ def draw_generalise(study: Study) -> Figure:
         panel.set_xlabel("URLLC + eMBB users, PRBs")
     axes[0].set(title="(a) late URLLC packets", ylabel="share of due packets [1]")
     axes[1].set(title="(b) mean square backlog", ylabel="mean of ½ΣF² over slots [packets²]")
-    shared_legend(figure, axes[0])
+    style.shared_legend(figure, axes[0])
     users = scenario.users
-    caption(
+    style.caption(
         figure,
         f"Mean and 95 % interval over {len(scenario.generalise.seeds)} worlds, of learned policies "
-        "also over training seeds. The "
-        f"learned policies were trained on {users.num_urllc} + {users.num_embb} users and "
-        f"{scenario.radio.num_prb} PRBs and run unchanged. Below the dotted line in (a): "
-        f"0.{_open_marks(cells)}{arrows_text(cells[f'{BACKLOG}_hi'])}",
+        f"also over training seeds. The learned policies were trained on {users.num_urllc} + "
+        f"{users.num_embb} users and {scenario.radio.num_prb} PRBs and run unchanged. Below the "
+        f"dotted line in (a): 0.{_open_marks(cells)}{style.arrows_text(cells[f'{BACKLOG}_hi'])}",
     )
     return figure
 
@@ -403,7 +383,9 @@ def _open_marks(table: pd.DataFrame) -> str:
 def draw_violations(study: Study) -> Figure:
     """Draw the late share of URLLC packets by policy, and the tail of their delays."""
     scenario, policies, tails = study.scenario, policy_table(study), delay_tails(study)
-    figure, (left, right) = new_figure(height_in=1.3 * PANEL_HEIGHT_IN, width_ratios=[1.15, 1.0])
+    figure, (left, right) = style.new_figure(
+        height_in=1.3 * style.PANEL_HEIGHT_IN, width_ratios=[1.15, 1.0]
+    )
     _draw_shares(left, policies, study.evaluation, scenario)
     bottom = 1e-5
     _draw_tails(right, tails, shown_policies(scenario), scenario, bottom)
@@ -414,14 +396,13 @@ def draw_violations(study: Study) -> Figure:
     right.plot(*corner, color="black", linewidth=1.0, zorder=1.5)
     right.set_title("(b) delay of delivered URLLC packets")
     right.set_ylabel("share of packets that took longer [1]")
-    shared_legend(figure, right, side="right")
-    caption(
+    style.shared_legend(figure, right, side="right")
+    style.caption(
         figure,
-        f"Large marks: means; dots: single runs, of learned policies each in every world; bars: "
-        f"95 % intervals over {seeds} worlds and over policies; bands: over worlds, world i under "
-        "the learned policy of training seed i; cut at the axis where they include 0. "
-        f"Left of the dotted line in (a): 0, which has no place on a logarithmic axis."
-        f"{_open_marks(policies)} "
+        "Large marks: means; dots: single runs, of learned policies each in every world; bars: 95 "
+        f"% intervals over {seeds} worlds and over policies; bands: over worlds, world i under the "
+        "learned policy of training seed i; cut at the axis where they include 0. Left of the "
+        f"dotted line in (a): 0, which has no place on a logarithmic axis.{_open_marks(policies)} "
         f"Corner in (b): 1 − χ = {_percent(allowed)} at the deadline of {deadline_ms:g} ms.",
     )
     return figure
@@ -432,22 +413,24 @@ def _draw_shares(
 ) -> None:
     """One row a policy, the most late packets at the bottom."""
     table = policies.sort_values(LATE, ascending=False, kind="stable")
-    floor = zero_floor(np.append(runs[LATE], policies[f"{LATE}_hi"]))
-    looks = {name: policy_look(name, scenario) for name in table["policy"]}
+    floor = style.zero_floor(np.append(runs[LATE], policies[f"{LATE}_hi"]))
+    looks = {name: style.policy_look(name, scenario) for name in table["policy"]}
     for y, row in enumerate(table.to_dict("records")):
         hollow = not row[LATE] > 0.0
-        style = {"markersize": 5.5, "zorder": 3}
-        draw_mark(panel, row, LATE, y, looks[row["policy"]], floor=floor, hollow=hollow, **style)
+        drawn = {"markersize": 5.5, "zorder": 3}
+        style.draw_mark(
+            panel, row, LATE, y, looks[row["policy"]], floor=floor, hollow=hollow, **drawn
+        )
         own = runs.loc[runs["policy"] == row["policy"], LATE].to_numpy()
         dots: dict[str, Any] = {"linestyle": "none", "marker": ".", "markersize": 3.0, "zorder": 2}
-        panel.plot(np.maximum(own, floor), np.full(len(own), y) + 0.36, color=GREY, **dots)
+        panel.plot(np.maximum(own, floor), np.full(len(own), y) + 0.36, color=style.GREY, **dots)
     names = [look.label for look in looks.values()]
     panel.set_yticks(range(len(table) + 1), [*names, "allowed at χ [%] ="])
     panel.tick_params(axis="y", length=0)
     panel.set_ylim(-0.6, len(table) + 0.5)
     panel.grid(visible=False, axis="y")
     fits = np.append(table[LATE_BOUNDS], 1.0 - scenario.traffic.reliability)
-    log_axis_with_zero(panel, floor, fits, which="x")
+    style.log_axis_with_zero(panel, floor, fits, which="x")
     _draw_levels(panel, scenario, len(table))
     shares = policies.set_index("policy")[LATE]
     named = [name for name in (scenario.learning.algorithm, BASELINE) if name in looks]
@@ -465,12 +448,12 @@ def _draw_levels(panel: Axes, scenario: Scenario, row: float) -> None:
         panel.axvline(
             1.0 - level,
             ymax=(row - 0.45 - bottom) / (top - bottom),  # ends below its label
-            color="black" if own else GREY,
+            color="black" if own else style.GREY,
             linewidth=1.0 if own else 0.6,
             linestyle="-" if own else (0, (5, 3)),
             zorder=1,
         )
-        note_at(panel, f"{100.0 * level:g}", 1.0 - level, row, ha="center", va="center")
+        style.note_at(panel, f"{100.0 * level:g}", 1.0 - level, row, ha="center", va="center")
 
 
 def _draw_tails(
@@ -485,8 +468,8 @@ def _draw_tails(
     for policy in policies:
         own = tails[tails["policy"] == policy]
         curve = own.assign(share=own["share"].where(own["share"] > 0.0))
-        look, cut = policy_look(policy, scenario), (bottom / 10, np.inf)
-        draw_curve(panel, 1e3 * curve["delay_s"], curve, "share", look, cut=cut, **band)
+        look, cut = style.policy_look(policy, scenario), (bottom / 10, np.inf)
+        style.draw_curve(panel, 1e3 * curve["delay_s"], curve, "share", look, cut=cut, **band)
     panel.set(yscale="log", ylim=(bottom, 1.3), xlabel="delay [ms]")
     panel.set_xlim(0.0, float(1e3 * tails["delay_s"].max()))
 

@@ -16,18 +16,7 @@ from numpy.typing import NDArray
 
 from hiersched.experiments.points import STUDY_PLANTS
 from hiersched.policies.registry import Look
-from hiersched.study.figures.style import (
-    GAIN_METHODS,
-    GREY,
-    PAPER_COLOR,
-    caption,
-    draw_curve,
-    draw_series,
-    log_ticks,
-    new_figure,
-    open_marks,
-    shared_legend,
-)
+from hiersched.study.figures import style
 from hiersched.study.metrics import OFF_TRACK_CM
 from hiersched.study.registry import figure, has_gain_study
 from hiersched.study.statistics import mean_interval
@@ -50,52 +39,53 @@ _VIOLATED: dict[str, Any] = {"color": "#dddddd", "zorder": 0, "linewidth": 0}
 
 @figure(
     "figX_gain",
-    title="Table II as a figure: tracking error in the windows of violated delay, nominal "
-    "against adjusted gain, mean and 95 % interval over seeds, with the paper's ratios as "
-    "stars.",
+    title="Table II as a figure: tracking error in the windows of violated delay, nominal against "
+    "adjusted gain, mean and 95 % interval over seeds, with the paper's ratios as stars.",
     reads=("windows",),
     when=has_gain_study,
 )
 def draw_gain(study: Study) -> Figure:
     """Draw the tracking error of every window, and adjusted over nominal where delays violate."""
     scenario, gains = study.scenario, gain_table(study)
-    figure, (left, right) = new_figure(width_ratios=[1.5, 1.0])
+    figure, (left, right) = style.new_figure(width_ratios=[1.5, 1.0])
     method, plant = str(gains["method"].iloc[0]), str(gains["plant"].iloc[0])
     own = gains[gains["method"] == method]
-    draw_series(left, own["slot"], own, "nominal_cm", GAIN_METHODS["nominal"])
-    draw_series(left, own["slot"], own, "adjusted_cm", _ADJUSTED)
+    style.draw_series(left, own["slot"], own, "nominal_cm", style.GAIN_METHODS["nominal"])
+    style.draw_series(left, own["slot"], own, "adjusted_cm", _ADJUSTED)
     gain_study, seeds = scenario.gain_study, len(scenario.gain_study.seeds)
     for slot in gain_study.violation_windows:
         left.axvspan(slot - 0.5, slot + 0.5, **_VIOLATED)
     left.set_ylim(bottom=0.0)
     left.set_xlim(0.3, gain_study.num_windows + 0.7)
-    left.set_title(f"(a) tracking error, {plant} plant, {GAIN_METHODS[method].label} gains")
+    left.set_title(f"(a) tracking error, {plant} plant, {style.GAIN_METHODS[method].label} gains")
     left.set_xticks([1, *range(5, gain_study.num_windows + 1, 5)])
     left.set_xlabel(f"time slot (window of {scenario.robot.window_s:g} s)")
     left.set_ylabel("RMS over the window [cm]")
-    shared_legend(figure, left)
+    style.shared_legend(figure, left)
     violated = gains[gains["violated"]]
     slots = sorted(violated["slot"].unique())
     places = {slot: place for place, slot in enumerate(slots)}
     groups = violated.groupby("method", sort=False)
     for number, (name, group) in enumerate(groups):
-        look = GAIN_METHODS[str(name)]._replace(dashes="none")
+        look = style.GAIN_METHODS[str(name)]._replace(dashes="none")
         x = group["slot"].map(places) + _SPREAD * (number - 0.5 * (groups.ngroups - 1))
         label = look.label if group["plant"].iloc[0] == plant else f"{look.label}, split plant"
-        draw_series(right, x, group, "ratio", look, label=label)
+        style.draw_series(right, x, group, "ratio", look, label=label)
     paper = violated[violated["method"] == method]
-    star: dict[str, Any] = {"marker": "*", "markersize": 9, "color": PAPER_COLOR, "zorder": 4}
+    star: dict[str, Any] = {"marker": "*", "markersize": 9, "color": style.PAPER_COLOR, "zorder": 4}
     x = paper["slot"].map(places)
     right.plot(x, paper["paper_ratio"], linestyle="none", label="paper", **star)
     _ratio_axis(right, violated)
     right.set_xticks(range(len(slots)), [str(slot) for slot in slots])
     right.set_xlim(-0.5, len(slots) - 0.5)
     lowest, highest = paper["ratio"].min(), paper["ratio"].max()
-    right.set_title(f"(b) all methods; {GAIN_METHODS[method].label}: {lowest:.2f} to {highest:.2f}")
+    right.set_title(
+        f"(b) all methods; {style.GAIN_METHODS[method].label}: {lowest:.2f} to {highest:.2f}"
+    )
     right.set_xlabel("time slot of violated delay")
     narrow: dict[str, Any] = {"handletextpad": 0.3, "columnspacing": 0.6, "handlelength": 1.6}
     right.legend(ncols=2, loc="lower left", fontsize=6.2, borderaxespad=0.0, **narrow)
-    caption(
+    style.caption(
         figure,
         f"Mean over robots and {seeds} seeds; bars: 95 % intervals, "
         "Student t, in (b) of the logarithm. Grey: violated delay. Each gain follows the delay. "
@@ -107,7 +97,7 @@ def draw_gain(study: Study) -> Figure:
 def _ratio_axis(axes: Axes, drawn: pd.DataFrame) -> None:
     """Make an axis of ratios that starts at 0, holds every finite bound and marks 1."""
     top = float(drawn["ratio_hi"].replace(np.inf, np.nan).max())
-    axes.axhline(1.0, color=GREY, linewidth=0.9)
+    axes.axhline(1.0, color=style.GREY, linewidth=0.9)
     axes.set_ylim(0.0, 1.2 if np.isnan(top) else max(1.2, 1.05 * top))
     axes.set_ylabel("error, adjusted / nominal [1]")
 
@@ -116,7 +106,7 @@ def _missing_bars(violated: pd.DataFrame) -> str:
     """Say why points in (b) have no bar, where some have none."""
     width = violated["ratio_hi"] - violated["ratio_lo"]
     equal = violated["method"][(violated["ratio"] == 1.0) & (width < 1e-9)].unique()
-    names = ", ".join(GAIN_METHODS[method].label for method in equal)
+    names = ", ".join(style.GAIN_METHODS[method].label for method in equal)
     return f" No bar ({names}): both gains give the same errors." if names else ""
 
 
@@ -136,7 +126,7 @@ _LEAST_SPAN = 1.25
 def draw_gain_grid(study: Study) -> Figure:
     """Draw the ratio of errors over the grid, and the nominal loop's own error."""
     scenario, grid = study.scenario, grid_table(study)
-    figure, (left, right) = new_figure(height_in=3.4, width_ratios=[1.7, 1.0])
+    figure, (left, right) = style.new_figure(height_in=3.4, width_ratios=[1.7, 1.0])
     weights = list(dict.fromkeys(grid["weight"]))
     delays = list(dict.fromkeys(grid["delay_s"]))
     cells = grid.set_index(["weight", "delay_s"]).loc[[(q, d) for q in weights for d in delays]]
@@ -163,9 +153,9 @@ def draw_gain_grid(study: Study) -> Figure:
     bar.set_ticks([1.0 / span, 1.0, span], labels=[f"{t:.2f}" for t in (1.0 / span, 1.0, span)])
     bar.minorticks_off()
     control, own = scenario.control, scenario.gain_study
-    caption(
+    style.caption(
         figure,
-        f"{GAIN_METHODS[control.method].label} gains, {scenario.plant_name} plant, h = "
+        f"{style.GAIN_METHODS[control.method].label} gains, {scenario.plant_name} plant, h = "
         f"{1e3 * control.sampling_s:g} ms. Means over {own.sweep_robots} robots and "
         f"{len(own.seeds)} seeds in windows of constant violated delay, with 95 % "
         "intervals. Bold: the interval excludes 1. Hatched: the nominal gain stays in force, the "
@@ -244,9 +234,9 @@ _SHIFT = 0.009
 def draw_gain_sweeps(study: Study) -> Figure:
     """Draw first unstable delay and ratio over the sampling interval, ratio over the noise."""
     scenario, sweeps = study.scenario, sweeps_table(study)
-    figure, (left, middle, right) = new_figure(3)
+    figure, (left, middle, right) = style.new_figure(3)
     own = scenario.gain_study
-    look = GAIN_METHODS[scenario.control.method]._replace(dashes=(0, (1, 2)))
+    look = style.GAIN_METHODS[scenario.control.method]._replace(dashes=(0, (1, 2)))
     sampling, noise = (sweeps[sweeps["axis"] == axis] for axis in ("sampling_s", "noise"))
     h_ms = 1e3 * sampling["sampling_s"].to_numpy()
     low, high = (1e3 * bound for bound in own.violation_delay_s)
@@ -258,10 +248,10 @@ def draw_gain_sweeps(study: Study) -> Figure:
     left.set_ylim(0.0, 1.3 * max([high, *unstable_ms[known].tolist()]))
     left.set_ylabel("first unstable constant delay [ms]")
     for axes, rows, x in ((middle, sampling, h_ms), (right, noise, np.arange(len(noise)))):
-        draw_series(axes, x, rows, "ratio", look)
+        style.draw_series(axes, x, rows, "ratio", look)
         _ratio_axis(axes, sweeps)
     for axes in (left, middle):
-        log_ticks(axes, h_ms.tolist())
+        style.log_ticks(axes, h_ms.tolist())
         axes.set_xlabel("sampling interval h [ms]")
     pairs = zip(noise["noise_position_m"], noise["noise_heading_rad"], strict=True)
     labels = [f"{1e3 * p:g} mm\n{1e3 * a:g} mrad" for p, a in pairs]
@@ -270,7 +260,7 @@ def draw_gain_sweeps(study: Study) -> Figure:
     right.set(xlabel="measurement noise", title="(c) ratio against noise")
     left.set_title("(a) nominal loop")
     middle.set_title("(b) ratio against h")
-    caption(
+    style.caption(
         figure,
         f"q = {scenario.control.weight:g}, {scenario.plant_name} plant, {look.label} gains. "
         f"Grey: the violated delays of (b) and (c), uniform in {low:g} to {high:g} ms. Means over "
@@ -292,7 +282,7 @@ def draw_gain_stability(study: Study) -> Figure:
     scenario, regions = study.scenario, stability_frame(study)
     own = regions[regions["axis"] == "weight"]
     plants = list(dict.fromkeys(own["plant"]))
-    figure, panels = new_figure(len(plants), sharey=True)
+    figure, panels = style.new_figure(len(plants), sharey=True)
     longest_ms = 1e3 * float((own["max_delay_steps"] * own["sampling_s"]).max())
     step = _SHIFT * max(1.0, float(np.ptp(own["value"])))
     for axes, plant, name in zip(panels, plants, "abcdef", strict=False):
@@ -304,9 +294,9 @@ def draw_gain_stability(study: Study) -> Figure:
         axes.set(title=f"({name}) {plant} plant", xlabel="weight q [1]")
         axes.set(ylabel="longest delay [ms]", ylim=(-0.07 * longest_ms, 1.12 * longest_ms))
     fullest = max(panels, key=lambda axes: len(axes.get_legend_handles_labels()[0]))
-    shared_legend(figure, fullest, columns=3)
+    style.shared_legend(figure, fullest, columns=3)
     delay_ms = 1e3 * max(scenario.gain_study.fixed_delay_s)
-    caption(
+    style.caption(
         figure,
         f"Delays in whole samples of {1e3 * scenario.control.sampling_s:g} ms; open markers: "
         f"{longest_ms:g} ms or more, no longer delay was tried. Markers are shifted sideways to "
@@ -336,7 +326,7 @@ def draw_gain_traces(study: Study) -> Figure:
     traces = traces.assign(method=traces["value"].mask(nominal, "nominal"), plant=plant_of_method)
     plants = list(dict.fromkeys(traces["plant"]))
     ratios = [1.6, *[1.0] * (len(plants) - 1)]
-    figure, panels = new_figure(len(plants), sharey=True, width_ratios=ratios, height_in=3.1)
+    figure, panels = style.new_figure(len(plants), sharey=True, width_ratios=ratios, height_in=3.1)
     gain_study, slot_s = scenario.gain_study, scenario.radio.slot_s
     for axes, plant, name in zip(panels, plants, "abcdef", strict=False):
         own = traces[traces["plant"] == plant]
@@ -345,15 +335,17 @@ def draw_gain_traces(study: Study) -> Figure:
             by_slot = rows.pivot(index="slot", columns="seed", values="error_cm")
             intervals = [mean_interval(row).columns("error") for row in by_slot.to_numpy()]
             x = (by_slot.index.to_numpy() + 0.5) * slot_s
-            draw_curve(axes, x, pd.DataFrame(intervals), "error", GAIN_METHODS[str(method)])
+            style.draw_curve(
+                axes, x, pd.DataFrame(intervals), "error", style.GAIN_METHODS[str(method)]
+            )
         axes.set(title=f"({name}) {plant} plant", ylabel="error, RMS over robots [cm]")
         axes.set_xlabel("time since the violation began [s]")
         axes.set_ylim(bottom=0.0)
         axes.margins(x=0.01)
-    shared_legend(figure, *panels, columns=6)
+    style.shared_legend(figure, *panels, columns=6)
     low, high = (1e3 * bound for bound in gain_study.violation_delay_s)
     calm = [f"{1e3 * bound:g}" for bound in gain_study.calm_delay_s]
-    caption(
+    style.caption(
         figure,
         f"Window {min(gain_study.violation_windows)} of the gain study, q = "
         f"{scenario.control.weight:g}. Grey: violated slots, {low:g} to {high:g} ms of delay; "
@@ -369,7 +361,7 @@ def _draw_region(axes: Axes, rows: pd.DataFrame, look: Look, shift: float) -> No
     x, y = rows["value"] + shift, 1e3 * rows["delay_s"]
     axes.plot(x, y, color=look.color, linestyle=look.dashes, marker=look.marker, label=look.label)
     tried = rows["at_least"].to_numpy(bool)
-    open_marks(axes, x[tried], y[tried], look)
+    style.open_marks(axes, x[tried], y[tried], look)
 
 
 def _equal_traces(traces: pd.DataFrame) -> str:
@@ -378,7 +370,7 @@ def _equal_traces(traces: pd.DataFrame) -> str:
     for _, own in traces.groupby("plant", sort=False):
         errors = {name: rows["error_cm"].to_numpy() for name, rows in own.groupby("method")}
         equal += [
-            GAIN_METHODS[str(name)].label
+            style.GAIN_METHODS[str(name)].label
             for name, error in errors.items()
             if name != "nominal" and np.array_equal(error, errors["nominal"])
         ]

@@ -12,19 +12,7 @@ from matplotlib.figure import Figure
 
 from hiersched.policies.registry import Look
 from hiersched.scenario import Scenario
-from hiersched.study.figures.style import (
-    PAPER_COLOR,
-    SLICES,
-    arrows_text,
-    caption,
-    draw_curve,
-    draw_series,
-    log_ticks,
-    new_figure,
-    policy_look,
-    share_intervals,
-    shared_legend,
-)
+from hiersched.study.figures import style
 from hiersched.study.paper import TABLE3
 from hiersched.study.registry import axis_of, compares_rates, figure, own_and_baseline, varies
 from hiersched.study.study import Study
@@ -60,20 +48,20 @@ def draw_rate_cdf(study: Study) -> Figure:
     """Draw the distribution of the data rates of both slices, learned policy and PF."""
     scenario = study.scenario
     rates = rate_distributions(study)
-    figure, axes = new_figure(sharey=True)
+    figure, axes = style.new_figure(sharey=True)
     window = f"{scenario.robot.window_s:g} s"
     titles = {"slot": "(a) rate of a user in a slot", "window": f"(b) rate of a user over {window}"}
     for panel, (span, title) in zip(axes, titles.items(), strict=True):
         own = rates[rates["span"] == span]
         for (policy, name), curve in own.groupby(["policy", "slice"], sort=False):
             look = _pair_look(str(policy), str(name), scenario)
-            draw_curve(panel, curve["rate_mbps"], curve, "share", look, cut=(0.0, 1.0))
+            style.draw_curve(panel, curve["rate_mbps"], curve, "share", look, cut=(0.0, 1.0))
         drawn = own[(own["share"] > 0.0) & (own["share"] < LAST_SHARE)]["rate_mbps"]
         panel.set(title=title, xlabel="data rate [Mbit/s]", ylim=(0.0, 1.02))
         panel.set_xlim(0.93 * float(drawn.min()), 1.02 * float(drawn.max()))
     axes[0].set_ylabel("share of rates at or below")
-    shared_legend(figure, axes[0])
-    caption(
+    style.shared_legend(figure, axes[0])
+    style.caption(
         figure,
         f"Mean and 95 % interval over {len(scenario.evaluate.seeds)} worlds, world i under the "
         "learned policy of training seed i; users of a slice pooled; bands end at 0 and 1. Steps "
@@ -91,29 +79,28 @@ def draw_rate_cdf(study: Study) -> Figure:
 )
 def draw_rayleigh(study: Study) -> Figure:
     """Draw data rates and queue lengths against the Rayleigh scale."""
-    figure, (rates, queues) = new_figure()
+    figure, (rates, queues) = style.new_figure()
     scenario = study.scenario
     values, table = _along(study, SCALE)
     for policy in own_and_baseline(scenario, table["policy"]):
         own = table[table["policy"] == policy]
-        for name in SLICES:
+        for name in style.SLICES:
             look = _pair_look(policy, name, scenario)
-            draw_series(rates, values, own, f"{name}_rate_mbps", look)
-            draw_series(queues, values, own, f"{name}_backlog_packets", look)
+            style.draw_series(rates, values, own, f"{name}_rate_mbps", look)
+            style.draw_series(queues, values, own, f"{name}_backlog_packets", look)
     for panel in (rates, queues):
-        log_ticks(panel, values)
+        style.log_ticks(panel, values)
         panel.set_xlabel("Rayleigh scale σ of the fading amplitude [1]")
     _mark_paper_rates(rates)
     rates.set(title="(a) mean data rate per user", ylabel="data rate [Mbit/s]")
     queues.set(title="(b) mean queue length per user", ylabel="backlog [packets]", yscale="log")
-    shared_legend(figure, rates, columns=3)
-    caption(
+    style.shared_legend(figure, rates, columns=3)
+    style.caption(
         figure,
-        f"{_means(scenario)} The rate axis does not "
-        "start at 0; bars leave the logarithmic axis where they include 0. Stars "
-        "at σ\u00a0=\u00a01: "
-        f"mean of the three slots of the paper's Table III.{_coincidence(table, scenario)}"
-        f"{arrows_text(table[[f'{name}_backlog_packets_hi' for name in SLICES]])}",
+        f"{_means(scenario)} The rate axis does not start at 0; bars leave the logarithmic axis "
+        "where they include 0. Stars at σ\u00a0=\u00a01: mean of the three slots of the paper's "
+        f"Table III.{_coincidence(table, scenario)}"
+        f"{style.arrows_text(table[[f'{name}_backlog_packets_hi' for name in style.SLICES]])}",
     )
     return figure
 
@@ -130,12 +117,12 @@ def draw_sampling(study: Study) -> Figure:
     values, table = _along(study, SAMPLING)
     values_ms = [1e3 * value for value in values]
     figure, axes = _draw_rates(table, scenario, values_ms)
-    for panel, name, letter in zip(axes, SLICES, "ab", strict=True):
-        log_ticks(panel, values_ms)
+    for panel, name, letter in zip(axes, style.SLICES, "ab", strict=True):
+        style.log_ticks(panel, values_ms)
         panel.set_xlabel("sampling interval h [ms]")
         change = _change_text(table, f"{name}_rate_mbps", scenario)
-        panel.set_title(f"({letter}) {SLICES[name].label} data rate{change}")
-    caption(figure, f"{_means(scenario)} The rate axes do not start at 0.")
+        panel.set_title(f"({letter}) {style.SLICES[name].label} data rate{change}")
+    style.caption(figure, f"{_means(scenario)} The rate axes do not start at 0.")
     return figure
 
 
@@ -150,13 +137,13 @@ def draw_dexterity(study: Study) -> Figure:
     scenario = study.scenario
     _, table = _along(study, REFERENCE)
     figure, axes = _draw_rates(table, scenario)
-    for panel, name, letter in zip(axes, SLICES, "ab", strict=True):
+    for panel, name, letter in zip(axes, style.SLICES, "ab", strict=True):
         panel.set_xlabel("measured dexterity index [1]")
         trend = _trend_text(table, f"{name}_rate_mbps", scenario)
-        panel.set_title(f"({letter}) {SLICES[name].label} rate{trend}")
+        panel.set_title(f"({letter}) {style.SLICES[name].label} rate{trend}")
         panel.margins(x=0.14)
         _name_references(panel, table)
-    caption(
+    style.caption(
         figure,
         f"{_means(scenario)} The rate axes do not start "
         "at 0. DI: dexterity index; titles: change of the mean from the lowest index to the "
@@ -172,16 +159,16 @@ def _draw_rates(
 
     Narrow ranges of rates do not fill the whole height: small changes stay small.
     """
-    figure, axes = new_figure()
-    for panel, name in zip(axes, SLICES, strict=True):
+    figure, axes = style.new_figure()
+    for panel, name in zip(axes, style.SLICES, strict=True):
         for policy in own_and_baseline(scenario, table["policy"]):
-            own, look = table[table["policy"] == policy], policy_look(policy, scenario)
+            own, look = table[table["policy"] == policy], style.policy_look(policy, scenario)
             if values is not None:
-                draw_series(panel, values, own, f"{name}_rate_mbps", look)
+                style.draw_series(panel, values, own, f"{name}_rate_mbps", look)
                 continue
             own = own.sort_values("dexterity_index")
             index, rate = own["dexterity_index"], own[f"{name}_rate_mbps"]
-            draw_series(panel, index, own, f"{name}_rate_mbps", look)
+            style.draw_series(panel, index, own, f"{name}_rate_mbps", look)
             sideways = [index - own["dexterity_index_lo"], own["dexterity_index_hi"] - index]
             panel.errorbar(
                 index, rate, xerr=sideways, fmt="none", ecolor=look.color, elinewidth=0.9
@@ -191,7 +178,7 @@ def _draw_rates(
         half = max(0.5 * (high - low), SPAN_SHARE * middle)
         panel.set_ylim(middle - half, middle + half)
         panel.set_ylabel("data rate per user [Mbit/s]")
-    shared_legend(figure, axes[0])
+    style.shared_legend(figure, axes[0])
     return figure, axes
 
 
@@ -221,7 +208,7 @@ def rate_distributions(study: Study) -> pd.DataFrame:
             shares = rows.pivot(index="rate_mbps", columns="seed", values="share").sort_index()
             # Below what a world's rows begin with its share is 0, above their end 1.
             shares = shares.where(shares.notna() | (shares.ffill().fillna(0.0) < 1.0), 1.0)
-            intervals = share_intervals(shares.fillna(0.0).to_numpy())
+            intervals = style.share_intervals(shares.fillna(0.0).to_numpy())
             labels: dict[str, Any] = {
                 "span": span,
                 "policy": policy,
@@ -236,7 +223,7 @@ def rate_distributions(study: Study) -> pd.DataFrame:
 
 def _pair_look(policy: str, name: str, scenario: Scenario) -> Look:
     """Colour says which slice; dashes and markers say both, for readers in grey."""
-    own, part = policy_look(policy, scenario), SLICES[name]
+    own, part = style.policy_look(policy, scenario), style.SLICES[name]
     pair = _PAIRS[name, policy == scenario.learning.algorithm]
     return Look(f"{part.label}, {own.label}", part.color, *pair)
 
@@ -272,7 +259,7 @@ def _coincidence(table: pd.DataFrame, scenario: Scenario) -> str:
         own = table[table["policy"] == policy]
         apart = (own["embb_rate_mbps"] / own["urllc_rate_mbps"] - 1.0).abs().max()
         if apart < COINCIDENT_SHARE:
-            name = policy_look(policy, scenario).label
+            name = style.policy_look(policy, scenario).label
             names.append(f" In (a) eMBB and URLLC under {name} coincide (within {apart:.1%}).")
     return "".join(names).replace("%", " %")
 
@@ -280,9 +267,9 @@ def _coincidence(table: pd.DataFrame, scenario: Scenario) -> str:
 def _mark_paper_rates(panel: Axes) -> None:
     """Mark the URLLC rates of Table III, mean over its three slots, at the paper's scale 1."""
     star: dict[str, Any] = {"linestyle": "none", "marker": "*", "markersize": 7, "zorder": 5}
-    for name, column, face in (("DRL", "drl_mbps", PAPER_COLOR), ("PF", "pf_mbps", "white")):
+    for name, column, face in (("DRL", "drl_mbps", style.PAPER_COLOR), ("PF", "pf_mbps", "white")):
         rate = float(np.mean([getattr(row, column) for row in TABLE3.values()]))
-        color: dict[str, Any] = {"markerfacecolor": face, "markeredgecolor": PAPER_COLOR}
+        color: dict[str, Any] = {"markerfacecolor": face, "markeredgecolor": style.PAPER_COLOR}
         panel.plot([1.0], [rate], label=f"paper, URLLC, {name}", **star, **color)
 
 

@@ -234,22 +234,9 @@ def draw_series(
 ) -> None:
     """Draw means with their intervals as error bars, joined by a line.
 
-    A bar without an upper bound is an arrow out of the panel, which does not stretch the axis.
-
-    Parameters
-    ----------
-    axes
-        Panel.
-    x
-        Where, shape (n,).
-    rows
-        Columns `measure`, with ``_lo`` and ``_hi``, of n rows.
-    look
-        Colour, dashes, marker, label.
-    floor
-        Where a logarithmic axis shows 0: means of 0 get an open marker there, bars stop there.
-    label
-        Label instead of the look's own.
+    A bar without an upper bound is an arrow out of the panel, which does not stretch the axis. Rows
+    have the columns `measure`, ``_lo`` and ``_hi`` behind it too. Where a logarithmic axis shows 0,
+    at `floor`, means of 0 get an open marker, and bars stop there. `label` goes before the look's.
     """
     middle, low, high = (rows[f"{measure}{end}"].to_numpy(float) for end in ("", "_lo", "_hi"))
     places = np.asarray(x, dtype=np.float64)
@@ -293,18 +280,7 @@ def draw_mark(
 ) -> None:
     """Draw one mean at a height, its interval as a bar sideways; nothing lies left of the floor.
 
-    Parameters
-    ----------
-    axes, look, floor
-        As for `draw_series`.
-    row
-        Has `measure`, with ``_lo`` and ``_hi``.
-    y
-        Height.
-    hollow
-        Whether the mark is filled with white.
-    **options
-        Of `Axes.errorbar`.
+    The row is one of `draw_series`; a hollow mark is white inside; options are of `Axes.errorbar`.
     """
     at, low, high = (max(float(row[f"{measure}{end}"]), floor) for end in ("", "_lo", "_hi"))
     if high == np.inf:
@@ -353,16 +329,7 @@ def log_axis_with_zero(
 ) -> None:
     """Make an axis logarithmic with a mark for 0 at its lower end, set apart by a dotted line.
 
-    Parameters
-    ----------
-    axes
-        Panel.
-    floor
-        Where 0 is shown, from `zero_floor`.
-    values
-        What has to fit, of any shape; NaN counts for nothing.
-    which
-        ``x`` or ``y``.
+    It is shown at `floor`, from `zero_floor`; the values have to fit, NaN counts for nothing.
     """
     finite = np.asarray(values, dtype=np.float64).ravel()
     first = math.ceil(math.log10(floor))

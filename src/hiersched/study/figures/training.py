@@ -12,18 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from hiersched.study.claims.conditions import control_of, controls, first_trained, learners
-from hiersched.study.figures.style import (
-    CONTROL,
-    PANEL_HEIGHT_IN,
-    SLICES,
-    caption,
-    draw_curve,
-    log_axis_with_zero,
-    new_figure,
-    policy_look,
-    shared_legend,
-    zero_floor,
-)
+from hiersched.study.figures import style
 from hiersched.study.registry import figure, has_learners
 from hiersched.study.statistics import mean_interval
 from hiersched.study.study import Study
@@ -55,16 +44,16 @@ def draw_rewards(study: Study) -> Figure:
     The scenario's own learner is drawn, if it is trained, else the first that is, and the control
     for it.
     """
-    figure, axes = new_figure()
+    figure, axes = style.new_figure()
     axis_note = ""
     for panel, name, letter in zip(axes, ("embb", "urllc"), "ab", strict=True):
         curve = _draw_training(panel, study, f"{name}_reward", name)
-        panel.set_title(f"({letter}) {SLICES[name].label} reward")
+        panel.set_title(f"({letter}) {style.SLICES[name].label} reward")
         panel.set_ylabel("reward of the slice per slot [1]")
         if _stretch(panel, curve):
             axis_note = " Axes: linear near 0 (shaded), logarithmic beyond."
-    shared_legend(figure, axes[0], columns=4)
-    caption(figure, _note(study) + axis_note)
+    style.shared_legend(figure, axes[0], columns=4)
+    style.caption(figure, _note(study) + axis_note)
     return figure
 
 
@@ -88,11 +77,11 @@ def _stretch(panel: Axes, curve: pd.DataFrame) -> bool:
 )
 def draw_queues(study: Study) -> Figure:
     """Draw each slice's backlog per user over training, as `draw_rewards` its reward."""
-    figure, axes = new_figure()
+    figure, axes = style.new_figure()
     for panel, name, letter in zip(axes, ("embb", "urllc"), "ab", strict=True):
         measure = f"{name}_backlog_packets"
         _draw_training(panel, study, measure, name)
-        panel.set_title(f"({letter}) {SLICES[name].label} queue length")
+        panel.set_title(f"({letter}) {style.SLICES[name].label} queue length")
         panel.set_ylabel("backlog per user [packets]")
         drawn = [np.asarray(line.get_ydata(), np.float64) for line in panel.get_lines()]
         values = np.concatenate([y[np.isfinite(y)] for y in drawn])
@@ -100,8 +89,8 @@ def draw_queues(study: Study) -> Figure:
             panel.set_yscale("log")
         else:
             panel.set_ylim(bottom=0.0)
-    shared_legend(figure, axes[0], columns=4)
-    caption(figure, _note(study))
+    style.shared_legend(figure, axes[0], columns=4)
+    style.caption(figure, _note(study))
     return figure
 
 
@@ -114,8 +103,8 @@ def _draw_training(panel: Axes, study: Study, measure: str, name: str) -> pd.Dat
     for learner in (own, control):
         if learner is None:
             continue
-        look = (SLICES[name] if learner == own else CONTROL)._replace(
-            label="learner" if learner == own else CONTROL.label
+        look = (style.SLICES[name] if learner == own else style.CONTROL)._replace(
+            label="learner" if learner == own else style.CONTROL.label
         )
         learning = scenario.learned[learner]
         curve = training_curve(study.training[learner], measure, learning.num_envs)
@@ -123,7 +112,7 @@ def _draw_training(panel: Axes, study: Study, measure: str, name: str) -> pd.Dat
         done = curve["episode"] / learning.episodes
         dashes = "-" if learner == own else look.dashes
         line: dict[str, Any] = {"linestyle": dashes, "label": f"{look.label}, noise"}
-        draw_curve(panel, done, curve, "mean", look, alpha=0.2, **line)
+        style.draw_curve(panel, done, curve, "mean", look, alpha=0.2, **line)
         points = checkpoint_curve(study.checkpoints[learner], measure)
         panel.errorbar(
             points["episode"] / learning.episodes,
@@ -183,13 +172,13 @@ def draw_learning(study: Study) -> Figure:
     Those that learn nothing are drawn alike.
     """
     scenario, training, checkpoints = study.scenario, study.training, study.checkpoints
-    figure, panels = new_figure(
-        *(len(_CURVES), 2), height_in=2.1 * PANEL_HEIGHT_IN, sharex=True, sharey="col"
+    figure, panels = style.new_figure(
+        *(len(_CURVES), 2), height_in=2.1 * style.PANEL_HEIGHT_IN, sharex=True, sharey="col"
     )
     late = pd.concat(
         [f["urllc_late_share"] for frames in (training, checkpoints) for f in frames.values()]
     )
-    floor = zero_floor(late)
+    floor = style.zero_floor(late)
     kinds = (("with noise", training), ("without noise", checkpoints))
     named = {*learners(scenario), *controls(scenario)[:1]}  # one control names all
     limits: dict[str, list[float]] = {}
@@ -198,7 +187,7 @@ def draw_learning(study: Study) -> Figure:
     ):
         for learner, frame in frames.items():
             learning = scenario.learned[learner]
-            look = CONTROL if learning.frozen else policy_look(learner, scenario)
+            look = style.CONTROL if learning.frozen else style.policy_look(learner, scenario)
             look = look._replace(label=look.label if learner in named else "_")
             if frames is training:
                 curve = training_curve(frame, measure, learning.num_envs)
@@ -210,7 +199,7 @@ def draw_learning(study: Study) -> Figure:
             curve["mean"] = curve["mean"].clip(lower=least)
             done, cut = curve["episode"] / learning.episodes, (least, np.inf)
             marker: dict[str, Any] = {"marker": look.marker, "markersize": 3.0}
-            draw_curve(panel, done, curve, "mean", look, cut=cut, alpha=0.12, **marker)
+            style.draw_curve(panel, done, curve, "mean", look, cut=cut, alpha=0.12, **marker)
         panel.set_title(f"({letter}) {title}, {kind}", fontsize="medium")
         panel.set(ylabel=label, xlim=(-0.02, 1.02))
         if measure != "urllc_late_share":
@@ -224,9 +213,9 @@ def draw_learning(study: Study) -> Figure:
             panel.set_xlabel("share of the training [1]")
     below = panels[len(_CURVES)]
     for panel in (panels[0], below):
-        log_axis_with_zero(panel, floor, late)
-    shared_legend(figure, below, columns=4)
-    caption(
+        style.log_axis_with_zero(panel, floor, late)
+    style.shared_legend(figure, below, columns=4)
+    style.caption(
         figure,
         f"Mean over {len(scenario.learning.seeds)} seeds; bands: Student t 95 % interval over "
         "seeds. Grey: actors that stay as they start, one for each kind of noise and start. "
