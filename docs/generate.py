@@ -417,7 +417,7 @@ WHERE = {
         "hiersched.experiments.fingerprint:code_fingerprint",
     ),
     "a measure of a run": ("hiersched.study.metrics:RunMetrics",),
-    "intervals of means and ratios": ("hiersched.study.intervals", "hiersched.study.lognormal"),
+    "intervals of means and ratios": ("hiersched.study.samples", "hiersched.study.lognormal"),
     "a table, figure or claim": ("hiersched.study.registry:Shown",),
     "the colour of a policy": (
         "hiersched.policies.registry:Look",

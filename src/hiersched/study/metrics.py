@@ -131,7 +131,8 @@ def slot_metrics(
     unknown = np.full(len(due_by_user), np.nan)
     shares = np.divide(late_by_user, due_by_user, out=unknown, where=due_by_user > 0)
     urllc = slice(0, run.num_urllc)
-    measures: dict[str, Any] = {}
+    measures: dict[str, Any] = _robot_measures(run, scenario)
+    measures |= {name: metadata.get(name, "") for name in ("stage", "axis", "value")}
     for name, own in (("urllc", urllc), ("embb", slice(run.num_urllc, None))):
         packets = int(due[:, own].sum(dtype=np.int64))
         lost = int(late[:, own].sum(dtype=np.int64))
@@ -146,7 +147,6 @@ def slot_metrics(
         policy=metadata["policy"],
         policy_seed=None if policy_seed is None else int(policy_seed),
         seed=int(metadata["seed"]),
-        **{name: metadata.get(name, "") for name in ("stage", "axis", "value")},
         num_slots=len(due),
         **measures,
         late_share_by_user=tuple(shares.tolist()),
@@ -155,7 +155,6 @@ def slot_metrics(
             _mean(shares[urllc] > round(1.0 - level, 12))
             for level in scenario.traffic.reliability_levels
         ),
-        **_robot_measures(run, scenario),
         arrival_clamped_share=_mean(fields["arrival_clamped"][:, urllc]),
         mean_square_backlog=_mean(0.5 * (fields["backlog_packets"] ** 2).sum(axis=1)),
         # Without the priced constraint: multipliers differ between policies, so with it a policy
@@ -244,7 +243,7 @@ def _delay_quantiles(slice_name: str, sojourn_s: list[FloatArray]) -> dict[str, 
     return dict(zip(names, values.tolist(), strict=True))
 
 
-def _robot_measures(run: RunSlots, scenario: Scenario) -> dict[str, float]:
+def _robot_measures(run: RunSlots, scenario: Scenario) -> dict[str, Any]:
     window = slots_per_window(scenario)
     fields, warmup = run.fields, run.warmup_slots
     whole = tracking_error_by_window_cm(fields["tracking_error_m"], window)

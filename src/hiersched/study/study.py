@@ -28,16 +28,9 @@ class Study:
     def sources(scenario: Scenario, reads: tuple[str, ...]) -> list[str]:
         """List the files of tables of measures, relative to the folder of the study.
 
-        Parameters
-        ----------
-        reads
-            Tables of `measure` (runs, windows, slots, rates, delays, episodes), ``bound`` (exact
-            optima), ``stability`` (regions of the gain study) and ``schedules`` (its gains).
-
-        Raises
-        ------
-        ValueError
-            If a table is none of these.
+        They are the tables of `measure` (runs, windows, slots, rates, delays, episodes), ``bound``
+        (exact optima), ``stability`` (regions of the gain study) and ``schedules`` (its gains);
+        ValueError for any other.
         """
         own = {
             "bound": [files.BOUND],

@@ -8,10 +8,11 @@ vary more), "far less" is less than half.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import pandas as pd
 
-from hiersched.experiments.points import BASELINE
+from hiersched.experiments.points import BASELINE, STUDY_PLANTS
 from hiersched.study.claims.conditions import by_coefficient, evaluated, swept, trained
 from hiersched.study.claims.effects import (
     PAIRED,
@@ -28,11 +29,10 @@ from hiersched.study.claims.effects import (
     tenths_of_dexterity,
 )
 from hiersched.study.claims.verdicts import Condition, Judged, Statement
-from hiersched.study.intervals import resolution
 from hiersched.study.registry import claim, has_gain_study, has_learners, varies
-from hiersched.study.samples import sample_of
+from hiersched.study.samples import resolution, sample_of
 from hiersched.study.study import Study
-from hiersched.study.tables.gains import gain_errors
+from hiersched.study.tables.gains import runs_by_method
 from hiersched.study.tables.policies import SCALE
 
 SAMPLING, REFERENCE = "control.sampling_s", "robot.reference"
@@ -234,11 +234,7 @@ def rates_over_dexterity(study: Study) -> Judged:
 
 
 def _slopes_of_rates(
-    study: Study,
-    key: str,
-    position: Callable[[pd.DataFrame], Sample],
-    step: str,
-    **claimed: float,
+    study: Study, key: str, position: Callable[[pd.DataFrame], Sample], step: str, **claimed: float
 ) -> Judged:
     """Judge the slopes of both slices' rates along the axis of a key, per `step` of `position`."""
 
@@ -265,17 +261,19 @@ def _slopes_of_rates(
 )
 def adjusted_gains_help(study: Study) -> Judged:
     """Judge the ratio of errors in every violated slot, method by method."""
-    conditions: list[Condition] = []
-    for (method, plant), group in gain_errors(study).groupby(["method", "plant"], sort=False):
-        statements = []
-        for slot, rows in group[group["violated"]].groupby("slot"):
-            errors = rows.pivot(index="seed", columns="gain", values="error_cm")
-            name = f"tracking error, adjusted / nominal, slot {slot}"
+    statements: dict[str, list[Statement]] = {}
+    for method, slot, runs in runs_by_method(study):
+        if slot in study.scenario.gain_study.violation_windows:
+            errors = runs.pivot(index="seed", columns="gain", values="error_cm")
             over = ratio(errors["adjusted"].to_numpy(), errors["nominal"].to_numpy())
-            statements.append(over.statement(name, "1", below=1.0))
-        axis = "control.method, control.loop" if conditions else ""
-        conditions.append(Condition(axis, f"{method}, {plant}", "none", tuple(statements)))
-    return Judged(conditions[0], tuple(conditions[1:]))
+            name = f"tracking error, adjusted / nominal, slot {slot}"
+            own = statements.setdefault(f"{method}, {STUDY_PLANTS[method]}", [])
+            own.append(over.statement(name, "1", below=1.0))
+    base, *others = (
+        Condition("control.method, control.loop", value, "none", tuple(own))
+        for value, own in statements.items()
+    )
+    return Judged(replace(base, axis=""), tuple(others))
 
 
 @claim(

@@ -98,10 +98,7 @@ def claims_markdown(claims: Sequence[JsonObject], scenario: Scenario) -> str:
 def insert_table(text: str, claims_json: str) -> str:
     """Return a text with the table of verdicts between its two marks, from ``claims.json``.
 
-    Raises
-    ------
-    ValueError
-        If the lines `BEGIN` and `END` are not there once each.
+    ValueError if the lines `BEGIN` and `END` are not there once each.
     """
     if text.count(BEGIN) != 1 or text.count(END) != 1:
         raise ValueError(f"the text must have the lines {BEGIN} and {END} once each")

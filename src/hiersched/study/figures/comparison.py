@@ -2,28 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import ArrayLike
 
 from hiersched.experiments.points import BASELINE
 from hiersched.policies.registry import Look
 from hiersched.scenario import Scenario
 from hiersched.study.claims.conditions import learners
 from hiersched.study.figures import style
-from hiersched.study.registry import (
-    axis_of,
-    figure,
-    has_bound,
-    has_cells,
-    learners_among,
-    varies,
-)
+from hiersched.study.registry import axis_of, figure, has_bound, has_cells, learners_among, varies
 from hiersched.study.study import Study
 from hiersched.study.tables.policies import (
     BACKLOG,
@@ -60,23 +52,16 @@ def draw_load(study: Study) -> Figure:
     Of the learners the first, the scenario's own where it runs; `draw_learners` has the others.
     """
     scenario = study.scenario
-    table = _with_one_learner(_along_the_load(study), scenario)
-    figure, axes = _draw_load_panels(
-        table,
-        scenario,
-        dict.fromkeys(table["policy"]),
-        lambda own, number: own["value"].astype(float),
-        fits=[1.0 - scenario.traffic.reliability],
-    )
-    for panel in axes:
-        panel.set_xticks(_loads(scenario))
+    table = along_axes(study, str(axis_of(scenario, LOAD)))
+    table = _with_one_learner(table, scenario)
+    figure, axes, arrows = _draw_load_panels(table, scenario, list(dict.fromkeys(table["policy"])))
     style.shared_legend(figure, axes[0], columns=6)
     style.caption(
         figure,
         f"Mean and 95 % interval over {len(scenario.sweeps.seeds)} worlds, of the learned policy "
         "also over training seeds; bars leave logarithmic axes, or end at 0 in (a), where they "
         "include 0. Grey line in (a): the share 1 − χ that is allowed; below the dotted line: "
-        f"0.{_open_marks(table)}{_load_arrows(table)} The axes of (b) and (d) do not start at 0.",
+        f"0.{_open_marks(table)}{arrows} The axes of (b) and (d) do not start at 0.",
     )
     return figure
 
@@ -88,71 +73,59 @@ def draw_load(study: Study) -> Figure:
     when=varies(LOAD, learners_among),
 )
 def draw_learners(study: Study) -> Figure:
-    """Draw every learner along the load, beside PF and drift-plus-penalty."""
-    scenario, table = study.scenario, _along_the_load(study)
+    """Draw every learner along the load, beside PF and drift-plus-penalty.
+
+    They are set apart at each load: learners often lie on each other.
+    """
+    scenario = study.scenario
+    table = along_axes(study, str(axis_of(scenario, LOAD)))
     there = set(table["policy"])
     policies = [name for name in (*learners(scenario), *BESIDE) if name in there]
     table = table[table["policy"].isin(policies)]
-    loads = _loads(scenario)
-
-    def side_by_side(own: pd.DataFrame, number: int) -> ArrayLike:
-        """Set learners apart, which often lie on each other."""
-        return np.arange(len(loads)) + 0.09 * (number - 0.5 * (len(policies) - 1))
-
-    figure, axes = _draw_load_panels(table, scenario, policies, side_by_side, dashes="none")
-    for panel in axes:
-        panel.set_xticks(np.arange(len(loads)), [f"{load:g}" for load in loads])
+    figure, axes, arrows = _draw_load_panels(table, scenario, policies, apart=0.09)
     style.shared_legend(figure, axes[0], columns=4)
     style.caption(
         figure,
         f"Mean and 95 % interval over {len(scenario.sweeps.seeds)} worlds, of learned policies "
         "also over training seeds. Grey line in (a): the share 1 − χ that is allowed; below the "
-        f"dotted line: 0.{_load_arrows(table)} The axes of (b) and (d) do not start at 0.",
+        f"dotted line: 0.{arrows} The axes of (b) and (d) do not start at 0.",
     )
     return figure
 
 
 def _draw_load_panels(
-    table: pd.DataFrame,
-    scenario: Scenario,
-    policies: Iterable[str],
-    places: Callable[[pd.DataFrame, int], ArrayLike],
-    *,
-    fits: Sequence[float] = (),
-    **look: str,
-) -> tuple[Figure, list[Axes]]:
-    """Draw the measures of `LOAD_PANELS` of policies along the load.
+    table: pd.DataFrame, scenario: Scenario, policies: list[str], *, apart: float = 0.0
+) -> tuple[Figure, list[Axes], str]:
+    """Draw the measures of `LOAD_PANELS` of policies along the load, joined or set apart.
 
-    `places` says where the rows of a policy, of some number, lie; `fits` has to fit the axis of
-    late shares; `look` replaces parts of the looks.
+    Returns figure, panels and, for the caption, what an arrow is.
     """
     figure, axes = style.new_figure(2, rows=2, height_in=2.15 * style.PANEL_HEIGHT_IN)
+    loads = list(scenario.sweeps.axes[str(axis_of(scenario, LOAD))].vary[LOAD])
+    allowed = 1.0 - scenario.traffic.reliability
     for panel, (measure, title, label), letter in zip(axes, LOAD_PANELS, "abcd", strict=True):
         floor = style.zero_floor(table[LATE_BOUNDS]) if measure == LATE else None
         for number, policy in enumerate(policies):
-            own = table[table["policy"] == policy]
-            drawn = style.policy_look(policy, scenario)._replace(**look)
-            style.draw_series(panel, places(own, number), own, measure, drawn, floor=floor)
+            own, look = table[table["policy"] == policy], style.policy_look(policy, scenario)
+            x: Any = own["value"].astype(float)
+            if apart:
+                look = look._replace(dashes="none")
+                x = np.arange(len(loads)) + apart * (number - 0.5 * (len(policies) - 1))
+            style.draw_series(panel, x, own, measure, look, floor=floor)
         if floor is not None:
-            style.log_axis_with_zero(panel, floor, np.append(table[LATE_BOUNDS], fits))
-            panel.axhline(1.0 - scenario.traffic.reliability, color=style.GREY, linewidth=0.9)
+            fits = np.append(table[LATE_BOUNDS], [] if apart else allowed)
+            style.log_axis_with_zero(panel, floor, fits)
+            panel.axhline(allowed, color=style.GREY, linewidth=0.9)
         elif _spans_decades(table, measure):
             panel.set_yscale("log")
+        if apart:
+            panel.set_xticks(range(len(loads)), [f"{load:g}" for load in loads])
+        else:
+            panel.set_xticks(loads)
         xlabel = "offered load, relative to the nominal loads [1]"
         panel.set(title=f"({letter}) {title}", ylabel=label, xlabel=xlabel)
-    return figure, axes
-
-
-def _along_the_load(study: Study) -> pd.DataFrame:
-    return along_axes(study, str(axis_of(study.scenario, LOAD)))
-
-
-def _loads(scenario: Scenario) -> list[float]:
-    return list(scenario.sweeps.axes[str(axis_of(scenario, LOAD))].vary[LOAD])
-
-
-def _load_arrows(table: pd.DataFrame) -> str:
-    return style.arrows_text(table[[f"{measure}_hi" for measure, *_ in LOAD_PANELS]])
+    bounds = table[[f"{measure}_hi" for measure, *_ in LOAD_PANELS]]
+    return figure, axes, style.arrows_text(bounds)
 
 
 def _spans_decades(table: pd.DataFrame, measure: str) -> bool:
@@ -309,11 +282,8 @@ def shown_policies(scenario: Scenario) -> list[str]:
 def delay_tails(study: Study) -> pd.DataFrame:
     """Return the share of delivered URLLC packets that took longer than a time, by policy.
 
-    Returns
-    -------
-    DataFrame
-        Columns policy, delay_s and share, share_lo, share_hi over worlds; of a learned policy each
-        world under another of its policies.
+    Columns are policy, delay_s and share (_lo, _hi) over worlds; of a learned policy each world is
+    under another of its policies.
     """
     delays = study.measures("delays")
     frames = []
@@ -453,7 +423,9 @@ def _draw_levels(panel: Axes, scenario: Scenario, row: float) -> None:
             linestyle="-" if own else (0, (5, 3)),
             zorder=1,
         )
-        style.note_at(panel, f"{100.0 * level:g}", 1.0 - level, row, ha="center", va="center")
+        white = {"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 0.8}
+        at: dict[str, Any] = {"ha": "center", "va": "center", "zorder": 5, "bbox": white}
+        panel.annotate(f"{100.0 * level:g}", (1.0 - level, row), fontsize=7, **at)
 
 
 def _draw_tails(

@@ -69,8 +69,9 @@ def draw_gain(study: Study) -> Figure:
     for number, (name, group) in enumerate(groups):
         look = style.GAIN_METHODS[str(name)]._replace(dashes="none")
         x = group["slot"].map(places) + _SPREAD * (number - 0.5 * (groups.ngroups - 1))
-        label = look.label if group["plant"].iloc[0] == plant else f"{look.label}, split plant"
-        style.draw_series(right, x, group, "ratio", look, label=label)
+        if group["plant"].iloc[0] != plant:
+            look = look._replace(label=f"{look.label}, split plant")
+        style.draw_series(right, x, group, "ratio", look)
     paper = violated[violated["method"] == method]
     star: dict[str, Any] = {"marker": "*", "markersize": 9, "color": style.PAPER_COLOR, "zorder": 4}
     x = paper["slot"].map(places)

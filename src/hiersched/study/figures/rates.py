@@ -193,12 +193,8 @@ def _along(study: Study, key: str) -> tuple[list[Any], pd.DataFrame]:
 def rate_distributions(study: Study) -> pd.DataFrame:
     """Return the distribution of data rates: learned policy and PF, by slot and by window.
 
-    Returns
-    -------
-    DataFrame
-        Columns span (slot, window), policy, slice, rate_mbps and the share of rates at or below
-        it: mean over worlds as share, share_lo, share_hi; of a learned policy from its logs, each
-        world under another of its policies.
+    Columns are span (slot, window), policy, slice, rate_mbps and, over worlds, the share (_lo, _hi)
+    of rates at or below it; of a learned policy each world is under another of its policies.
     """
     rates = study.measures("rates")
     frames = []

@@ -107,12 +107,7 @@ GAIN_METHODS = {
 def policy_look(policy: str, scenario: Scenario | None = None) -> Look:
     """Return how a policy is drawn, the same in every figure.
 
-    Parameters
-    ----------
-    policy
-        A rule, or a learner or policy of the scenario.
-    scenario
-        Its learners, the study's own first, and its own policies; unless given there is ``ddpg``.
+    A rule, or a learner or policy of the scenario; without one the only learner is ``ddpg``.
     """
     learners = ["ddpg"] if scenario is None else list(scenario.learned)
     own = [] if scenario is None else list(scenario.policies)
@@ -170,18 +165,6 @@ def shared_legend(
     )
 
 
-def note_at(axes: Axes, text: str, x: float, y: float, **options: Any) -> None:
-    """Write small text into a panel, on white."""
-    axes.annotate(
-        text,
-        (x, y),
-        fontsize=7,
-        bbox={"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 0.8},
-        zorder=5,
-        **options,
-    )
-
-
 def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
     """Write a figure as SVG and PNG and return both files.
 
@@ -230,13 +213,12 @@ def draw_series(
     look: Look,
     *,
     floor: float | None = None,
-    label: str | None = None,
 ) -> None:
     """Draw means with their intervals as error bars, joined by a line.
 
     A bar without an upper bound is an arrow out of the panel, which does not stretch the axis. Rows
     have the columns `measure`, ``_lo`` and ``_hi`` behind it too. Where a logarithmic axis shows 0,
-    at `floor`, means of 0 get an open marker, and bars stop there. `label` goes before the look's.
+    at `floor`, means of 0 get an open marker, and bars stop there.
     """
     middle, low, high = (rows[f"{measure}{end}"].to_numpy(float) for end in ("", "_lo", "_hi"))
     places = np.asarray(x, dtype=np.float64)
@@ -253,7 +235,7 @@ def draw_series(
         linestyle=look.dashes,
         marker=look.marker,
         elinewidth=0.9,
-        label=look.label if label is None else label,
+        label=look.label,
     )
     if zero.any():
         open_marks(axes, places[zero], middle[zero], look, zorder=4)

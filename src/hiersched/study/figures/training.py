@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from itertools import product
 from typing import Any
 
@@ -44,29 +45,19 @@ def draw_rewards(study: Study) -> Figure:
     The scenario's own learner is drawn, if it is trained, else the first that is, and the control
     for it.
     """
-    figure, axes = style.new_figure()
-    axis_note = ""
-    for panel, name, letter in zip(axes, ("embb", "urllc"), "ab", strict=True):
-        curve = _draw_training(panel, study, f"{name}_reward", name)
-        panel.set_title(f"({letter}) {style.SLICES[name].label} reward")
-        panel.set_ylabel("reward of the slice per slot [1]")
-        if _stretch(panel, curve):
-            axis_note = " Axes: linear near 0 (shaded), logarithmic beyond."
-    style.shared_legend(figure, axes[0], columns=4)
-    style.caption(figure, _note(study) + axis_note)
-    return figure
+    return _draw_slices(study, "reward", "reward", "reward of the slice per slot [1]", _stretch)
 
 
-def _stretch(panel: Axes, curve: pd.DataFrame) -> bool:
+def _stretch(panel: Axes, curve: pd.DataFrame) -> str:
     """Take a symmetric logarithmic axis where the first episodes would hide all later ones."""
     sizes = curve["mean"].abs()
     late = float(sizes.iloc[len(sizes) // 2 :].median())
     if late == 0.0 or sizes.max() < LOG_RANGE * late:
-        return False
+        return ""
     threshold = 10.0 ** np.floor(np.log10(late))
     panel.set_yscale("symlog", linthresh=threshold)
     panel.axhspan(-threshold, threshold, color="0.93", zorder=0)
-    return True
+    return " Axes: linear near 0 (shaded), logarithmic beyond."
 
 
 @figure(
@@ -77,20 +68,42 @@ def _stretch(panel: Axes, curve: pd.DataFrame) -> bool:
 )
 def draw_queues(study: Study) -> Figure:
     """Draw each slice's backlog per user over training, as `draw_rewards` its reward."""
+    label = "backlog per user [packets]"
+    return _draw_slices(study, "backlog_packets", "queue length", label, _show_all)
+
+
+def _show_all(panel: Axes, curve: pd.DataFrame) -> str:
+    """Take a logarithmic axis where queues span too much for one that begins at 0."""
+    drawn = [np.asarray(line.get_ydata(), np.float64) for line in panel.get_lines()]
+    values = np.concatenate([y[np.isfinite(y)] for y in drawn])
+    if values.min() > 0.0 and values.max() > LOG_RANGE * values.min():
+        panel.set_yscale("log")
+    else:
+        panel.set_ylim(bottom=0.0)
+    return ""
+
+
+def _draw_slices(
+    study: Study, measure: str, title: str, label: str, scale: Callable[[Axes, pd.DataFrame], str]
+) -> Figure:
+    """Draw a measure of both slices over training; `scale` chooses an axis and says so."""
     figure, axes = style.new_figure()
-    for panel, name, letter in zip(axes, ("embb", "urllc"), "ab", strict=True):
-        measure = f"{name}_backlog_packets"
-        _draw_training(panel, study, measure, name)
-        panel.set_title(f"({letter}) {style.SLICES[name].label} queue length")
-        panel.set_ylabel("backlog per user [packets]")
-        drawn = [np.asarray(line.get_ydata(), np.float64) for line in panel.get_lines()]
-        values = np.concatenate([y[np.isfinite(y)] for y in drawn])
-        if values.min() > 0.0 and values.max() > LOG_RANGE * values.min():
-            panel.set_yscale("log")
-        else:
-            panel.set_ylim(bottom=0.0)
+    said = ""
+    for panel, name, letter in zip(axes, style.SLICES, "ab", strict=True):
+        curve = _draw_training(panel, study, f"{name}_{measure}", name)
+        panel.set(title=f"({letter}) {style.SLICES[name].label} {title}", ylabel=label)
+        said = scale(panel, curve) or said
     style.shared_legend(figure, axes[0], columns=4)
-    style.caption(figure, _note(study))
+    own = first_trained(study.scenario)
+    learning, seeds = study.scenario.learned[own], study.training[own]["seed"].nunique()
+    style.caption(
+        figure,
+        f"Lines: mean over {seeds} seeds and the {learning.num_envs} episodes that run side by "
+        f"side, {learning.slots_per_episode} slots each from empty queues, with exploration noise "
+        f"on the actions. Marks: the same policies without noise in {learning.checkpoint_worlds} "
+        "fixed worlds. Grey: actors that stay as they start, under the same noise. Bands and bars: "
+        f"Student t 95 % intervals over seeds.{said}",
+    )
     return figure
 
 
@@ -100,19 +113,15 @@ def _draw_training(panel: Axes, study: Study, measure: str, name: str) -> pd.Dat
     own = first_trained(scenario)
     control = control_of(scenario, own)
     curves = []
-    for learner in (own, control):
-        if learner is None:
-            continue
-        look = (style.SLICES[name] if learner == own else style.CONTROL)._replace(
-            label="learner" if learner == own else style.CONTROL.label
-        )
+    looks = {own: style.SLICES[name]._replace(label="learner", dashes="-", marker="o")}
+    if control is not None:
+        looks[control] = style.CONTROL._replace(marker="D")
+    for learner, look in looks.items():
         learning = scenario.learned[learner]
         curve = training_curve(study.training[learner], measure, learning.num_envs)
         curves.append(curve)
-        done = curve["episode"] / learning.episodes
-        dashes = "-" if learner == own else look.dashes
-        line: dict[str, Any] = {"linestyle": dashes, "label": f"{look.label}, noise"}
-        style.draw_curve(panel, done, curve, "mean", look, alpha=0.2, **line)
+        done, label = curve["episode"] / learning.episodes, f"{look.label}, noise"
+        style.draw_curve(panel, done, curve, "mean", look, alpha=0.2, label=label)
         points = checkpoint_curve(study.checkpoints[learner], measure)
         panel.errorbar(
             points["episode"] / learning.episodes,
@@ -120,7 +129,7 @@ def _draw_training(panel: Axes, study: Study, measure: str, name: str) -> pd.Dat
             yerr=[points["mean"] - points["mean_lo"], points["mean_hi"] - points["mean"]],
             color=look.color,
             linestyle="none",
-            marker="o" if learner == own else "D",
+            marker=look.marker,
             markerfacecolor=look.color if learner == own else "white",
             elinewidth=0.9,
             zorder=3,
@@ -139,18 +148,6 @@ def checkpoint_curve(checkpoints: pd.DataFrame, measure: str) -> pd.DataFrame:
 def _curve(episode: NDArray[np.int64], by_seed: pd.DataFrame) -> pd.DataFrame:
     frame = pd.DataFrame([mean_interval(row).columns("mean") for row in by_seed.to_numpy()])
     return frame.assign(episode=episode)
-
-
-def _note(study: Study) -> str:
-    own = first_trained(study.scenario)
-    learning, seeds = study.scenario.learned[own], study.training[own]["seed"].nunique()
-    return (
-        f"Lines: mean over {seeds} seeds and the {learning.num_envs} episodes that run side by "
-        f"side, {learning.slots_per_episode} slots each from empty queues, with exploration noise "
-        f"on the actions. Marks: the same policies without noise in {learning.checkpoint_worlds} "
-        "fixed worlds. Grey: actors that stay as they start, under the same noise. Bands and bars: "
-        "Student t 95 % intervals over seeds."
-    )
 
 
 _CURVES = (

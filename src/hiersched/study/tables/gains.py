@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -92,12 +93,8 @@ def methods_table(study: Study) -> pd.DataFrame:
 def sweep_points_table(study: Study, experiment: str) -> pd.DataFrame:
     """Compare both gains at every point of a sweep of the gain study, in its violated windows.
 
-    Returns
-    -------
-    DataFrame
-        One row a point: its values, the delays in violated windows and the gains in force there,
-        errors, ratio, shares of robots in trouble, and ``effect``: ``same gain``, else `effect_of`
-        the ratio.
+    A row has the point's values, the delays in violated windows and the gains in force there, the
+    columns of `compared`, and ``effect``: ``same gain``, else `effect_of` the ratio.
     """
     robots = study.robots(experiment)
     rows = []
@@ -197,11 +194,6 @@ def by_run(robots: pd.DataFrame) -> pd.DataFrame:
 
     ``off_track``: robots with more than `OFF_TRACK_CM` in one of the windows; ``saturated``: robots
     with a control at its limit in more than half of the slots of one. None is left out of the mean.
-
-    Parameters
-    ----------
-    robots
-        Some windows of runs, from `Study.robots`.
     """
     rows = []
     for (gain, seed), own in robots.groupby(["gain", "seed"], sort=False):
@@ -301,30 +293,17 @@ def study_methods(scenario: Scenario) -> list[GainMethod]:
     return sorted(scenario.gain_study.methods, key=lambda method: method != own)
 
 
-def gain_errors(study: Study) -> pd.DataFrame:
-    """Return the tracking errors of the gain study, mean over robots.
+def runs_by_method(study: Study) -> Iterator[tuple[GainMethod, int, pd.DataFrame]]:
+    """Give the runs (`by_run`) of every method in every window, with the nominal gain beside.
 
-    Returns
-    -------
-    DataFrame
-        Columns method, plant, gain (nominal, adjusted), seed, slot (window, 1 = the first),
-        violated, error_cm; the scenario's own method first. Methods on one plant share the runs
-        with the nominal gain.
+    Windows are counted from 1, methods begin with the scenario's own; those on one plant share the
+    runs with the nominal gain.
     """
-    scenario = study.scenario
     robots = study.robots("gain_study")
-    frames = []
-    for method in study_methods(scenario):
-        own = _of_method(robots, scenario, method)
-        means = own.groupby(["gain", "seed", "window"], sort=False)["error_cm"].apply(
-            lambda errors: errors.to_numpy().mean()
-        )
-        frame = means.reset_index().rename(columns={"window": "slot"})
-        frame.insert(0, "method", method)
-        frame.insert(1, "plant", STUDY_PLANTS[method])
-        frames.append(frame)
-    table = pd.concat(frames, ignore_index=True)
-    return table.assign(violated=table["slot"].isin(scenario.gain_study.violation_windows))
+    for method in study_methods(study.scenario):
+        own = _of_method(robots, study.scenario, method)
+        for slot, windows in own.groupby("window", sort=False):
+            yield method, int(str(slot)), by_run(windows)
 
 
 @table(
@@ -355,26 +334,20 @@ def gain_table(study: Study) -> pd.DataFrame:
 
     Slots that are in the paper's Table II have its numbers beside them.
     """
-    gains = gain_errors(study)
     rows = []
-    for (method, plant, slot, violated), group in gains.groupby(
-        ["method", "plant", "slot", "violated"], sort=False
-    ):
-        errors = group.pivot(index="seed", columns="gain", values="error_cm")
-        nominal, adjusted = (errors[gain].to_numpy() for gain in ("nominal", "adjusted"))
-        printed = TABLE2.get(int(str(slot))) if violated else None
+    for method, slot, runs in runs_by_method(study):
+        violated = slot in study.scenario.gain_study.violation_windows
+        printed = TABLE2.get(slot) if violated else None
+        row = compared(runs)
+        first = ["nominal_cm", "adjusted_cm", "ratio", "ratio_lo", "ratio_hi"]
+        bounds = [f"{gain}_cm_{end}" for gain in ("nominal", "adjusted") for end in ("lo", "hi")]
         rows.append(
             {
                 "slot": slot,
-                "nominal_cm": math.nan,  # stands before the ratio, its bounds behind
-                "adjusted_cm": math.nan,
-                **paired_log_ratio(adjusted, nominal).columns("ratio"),
-                **mean_interval(nominal).columns("nominal_cm"),
-                **mean_interval(adjusted).columns("adjusted_cm"),
-                "seeds": len(errors),
+                **{name: row[name] for name in (*first, *bounds, "seeds")},
                 "method": method,
-                "plant": plant,
-                "violated": bool(violated),
+                "plant": STUDY_PLANTS[method],
+                "violated": violated,
                 "paper_nominal": printed.nominal if printed else math.nan,
                 "paper_adjusted": printed.adjusted if printed else math.nan,
                 "paper_ratio": printed.adjusted / printed.nominal if printed else math.nan,

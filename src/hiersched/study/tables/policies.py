@@ -14,13 +14,6 @@ import pandas as pd
 from hiersched.experiments.points import BASELINE
 from hiersched.policies.index_rules import CLASSICAL
 from hiersched.scenario import Scenario
-from hiersched.study.intervals import (
-    INTERVAL_NOTE,
-    SYMMETRIC,
-    measure_interval,
-    resolution,
-    smallest_late_share,
-)
 from hiersched.study.metrics import DELAY_QUANTILES, violation_column
 from hiersched.study.registry import (
     axis_of,
@@ -31,7 +24,15 @@ from hiersched.study.registry import (
     table,
     varies,
 )
-from hiersched.study.samples import counts, paired
+from hiersched.study.samples import (
+    INTERVAL_NOTE,
+    SYMMETRIC,
+    counts,
+    measure_interval,
+    paired,
+    resolution,
+    smallest_late_share,
+)
 from hiersched.study.statistics import (
     mean_interval,
     paired_difference,
@@ -298,16 +299,11 @@ def generalisation_table(study: Study) -> pd.DataFrame:
     when=has_bound,
 )
 def bound_table(study: Study) -> pd.DataFrame:
-    """Return how far decisions are from the exact optimum of their slots.
+    """Return a row the policy whose states they are, and the decider that is asked there.
 
-    Returns
-    -------
-    DataFrame
-        One row the policy whose states they are and the decider asked there: seeds, slots, gap
-        (value - exact, mean over the slots of a world; interval over worlds), gap_max, gap_share
-        (gaps over sizes of the optima, in all), share_optimal (gaps of 0, to 1e-6 of the optimum),
-        uncertified (largest exact - bound), and of the first PRBs alone, greedy - exact: sums over
-        users of the Lagrangian (first_gap) and of the logarithm of the rate.
+    Gaps are value - exact, means over the slots of a world. `gap_share`: gaps over sizes of the
+    optima, in all; `share_optimal`: gaps of 0, to 1e-6 of the optimum; `uncertified`: largest
+    exact - bound. Those of the first PRBs alone, greedy - exact, are sums over users.
     """
     rows = []
     for (policy, decider), group in study.bound.groupby(["policy", "decider"], sort=False):
