@@ -52,8 +52,7 @@ def draw_load(study: Study) -> Figure:
     Of the learners the first, the scenario's own where it runs; `draw_learners` has the others.
     """
     scenario = study.scenario
-    table = along_axes(study, str(axis_of(scenario, LOAD)))
-    table = _with_one_learner(table, scenario)
+    table = _with_one_learner(along_axes(study, str(axis_of(scenario, LOAD))), scenario)
     figure, axes, arrows = _draw_load_panels(table, scenario, list(dict.fromkeys(table["policy"])))
     style.shared_legend(figure, axes[0], columns=6)
     style.caption(

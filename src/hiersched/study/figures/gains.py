@@ -56,11 +56,11 @@ def draw_gain(study: Study) -> Figure:
     for slot in gain_study.violation_windows:
         left.axvspan(slot - 0.5, slot + 0.5, **_VIOLATED)
     left.set_ylim(bottom=0.0)
-    left.set_xlim(0.3, gain_study.num_windows + 0.7)
-    left.set_title(f"(a) tracking error, {plant} plant, {style.GAIN_METHODS[method].label} gains")
     left.set_xticks([1, *range(5, gain_study.num_windows + 1, 5)])
-    left.set_xlabel(f"time slot (window of {scenario.robot.window_s:g} s)")
-    left.set_ylabel("RMS over the window [cm]")
+    left.set_title(f"(a) tracking error, {plant} plant, {style.GAIN_METHODS[method].label} gains")
+    xlabel = f"time slot (window of {scenario.robot.window_s:g} s)"
+    limits = 0.3, gain_study.num_windows + 0.7
+    left.set(xlabel=xlabel, ylabel="RMS over the window [cm]", xlim=limits)
     style.shared_legend(figure, left)
     violated = gains[gains["violated"]]
     slots = sorted(violated["slot"].unique())
@@ -323,8 +323,8 @@ def draw_gain_traces(study: Study) -> Figure:
     slots = study.measures("slots")
     traces = slots[slots["experiment"] == "gain_study"]
     nominal = traces["gain"] == "nominal"
-    plant_of_method = traces["value"].map(STUDY_PLANTS)
-    traces = traces.assign(method=traces["value"].mask(nominal, "nominal"), plant=plant_of_method)
+    methods = traces["value"].mask(nominal, "nominal")
+    traces = traces.assign(method=methods, plant=traces["value"].map(STUDY_PLANTS))
     plants = list(dict.fromkeys(traces["plant"]))
     ratios = [1.6, *[1.0] * (len(plants) - 1)]
     figure, panels = style.new_figure(len(plants), sharey=True, width_ratios=ratios, height_in=3.1)

@@ -145,9 +145,9 @@ def draw_dexterity(study: Study) -> Figure:
         _name_references(panel, table)
     style.caption(
         figure,
-        f"{_means(scenario)} The rate axes do not start "
-        "at 0. DI: dexterity index; titles: change of the mean from the lowest index to the "
-        "highest. The paper has the data rate fall as the index grows.",
+        f"{_means(scenario)} The rate axes do not start at 0. DI: dexterity index; titles: change "
+        "of the mean from the lowest index to the highest. The paper has the data rate fall as the "
+        "index grows.",
     )
     return figure
 
@@ -169,10 +169,8 @@ def _draw_rates(
             own = own.sort_values("dexterity_index")
             index, rate = own["dexterity_index"], own[f"{name}_rate_mbps"]
             style.draw_series(panel, index, own, f"{name}_rate_mbps", look)
-            sideways = [index - own["dexterity_index_lo"], own["dexterity_index_hi"] - index]
-            panel.errorbar(
-                index, rate, xerr=sideways, fmt="none", ecolor=look.color, elinewidth=0.9
-            )
+            ends = [index - own["dexterity_index_lo"], own["dexterity_index_hi"] - index]
+            panel.errorbar(index, rate, xerr=ends, fmt="none", ecolor=look.color, elinewidth=0.9)
         low, high = panel.get_ylim()
         middle = 0.5 * (low + high)
         half = max(0.5 * (high - low), SPAN_SHARE * middle)
@@ -205,16 +203,9 @@ def rate_distributions(study: Study) -> pd.DataFrame:
             # Below what a world's rows begin with its share is 0, above their end 1.
             shares = shares.where(shares.notna() | (shares.ffill().fillna(0.0) < 1.0), 1.0)
             intervals = style.share_intervals(shares.fillna(0.0).to_numpy())
-            labels: dict[str, Any] = {
-                "span": span,
-                "policy": policy,
-                "slice": name,
-                "rate_mbps": shares.index,
-            }
-            frames.append(intervals.assign(**labels))
-    return pd.concat(frames, ignore_index=True).sort_values(
-        ["span"], key=lambda span: span != "slot", kind="stable"
-    )
+            labels: dict[str, Any] = {"span": span, "policy": policy, "slice": name}
+            frames.append(intervals.assign(**labels, rate_mbps=shares.index))
+    return pd.concat(frames, ignore_index=True)
 
 
 def _pair_look(policy: str, name: str, scenario: Scenario) -> Look:
@@ -278,8 +269,5 @@ def _name_references(panel: Axes, table: pd.DataFrame) -> None:
 
 
 def _means(scenario: Scenario) -> str:
-    worlds = len(scenario.sweeps.seeds)
-    return (
-        f"Mean and 95 % interval over {worlds} worlds, of the learned policy also over training "
-        "seeds."
-    )
+    over = f"over {len(scenario.sweeps.seeds)} worlds, of the learned policy also over training"
+    return f"Mean and 95 % interval {over} seeds."

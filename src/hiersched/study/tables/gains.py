@@ -22,6 +22,8 @@ from hiersched.study.statistics import Interval, mean_interval, paired_log_ratio
 from hiersched.study.study import Study
 from hiersched.study.tables.text import RATIO_NOTE, SEEDS_NOTE, TROUBLE_NOTE
 
+_UNKNOWN = math.nan, math.nan
+
 
 def has_gain_grid(scenario: Scenario) -> bool:
     """Whether weight and delay are swept."""
@@ -337,7 +339,7 @@ def gain_table(study: Study) -> pd.DataFrame:
     rows = []
     for method, slot, runs in runs_by_method(study):
         violated = slot in study.scenario.gain_study.violation_windows
-        printed = TABLE2.get(slot) if violated else None
+        nominal, adjusted = TABLE2.get(slot, _UNKNOWN) if violated else _UNKNOWN
         row = compared(runs)
         first = ["nominal_cm", "adjusted_cm", "ratio", "ratio_lo", "ratio_hi"]
         bounds = [f"{gain}_cm_{end}" for gain in ("nominal", "adjusted") for end in ("lo", "hi")]
@@ -348,9 +350,9 @@ def gain_table(study: Study) -> pd.DataFrame:
                 "method": method,
                 "plant": STUDY_PLANTS[method],
                 "violated": violated,
-                "paper_nominal": printed.nominal if printed else math.nan,
-                "paper_adjusted": printed.adjusted if printed else math.nan,
-                "paper_ratio": printed.adjusted / printed.nominal if printed else math.nan,
+                "paper_nominal": nominal,
+                "paper_adjusted": adjusted,
+                "paper_ratio": adjusted / nominal,
             }
         )
     return pd.DataFrame(rows)

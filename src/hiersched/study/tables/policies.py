@@ -307,14 +307,9 @@ def bound_table(study: Study) -> pd.DataFrame:
     """
     rows = []
     for (policy, decider), group in study.bound.groupby(["policy", "decider"], sort=False):
-        gaps = pd.DataFrame(
-            {
-                "gap": group["value"] - group["exact"],
-                "first_gap": group["first_lagrangian_greedy"] - group["first_lagrangian_exact"],
-                "first_log_rate_gap": group["first_log_rate_greedy"]
-                - group["first_log_rate_exact"],
-            }
-        )
+        gaps = pd.DataFrame({"gap": group["value"] - group["exact"]})
+        for name, of in (("first_gap", "lagrangian"), ("first_log_rate_gap", "log_rate")):
+            gaps[name] = group[f"first_{of}_greedy"] - group[f"first_{of}_exact"]
         by_world = gaps.groupby(group["seed"]).mean()
         gap, size = gaps["gap"], group["exact"].abs()
         rows.append(
