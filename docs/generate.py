@@ -430,14 +430,14 @@ WHERE = {
         "hiersched.study.tables.gains",
         "hiersched.study.tables.paper",
     ),
-    "intervals of means and ratios": ("hiersched.study.intervals", "hiersched.study.lognormal"),
+    "intervals of means and ratios": ("hiersched.study.samples", "hiersched.study.lognormal"),
     "a table, figure or claim": ("hiersched.study.registry:Shown",),
     "the colour of a policy": (
         "hiersched.policies.registry:Look",
         "hiersched.study.figures.style:policy_look",
     ),
     "the numbers of a claim, and its range": ("hiersched.study.claims.judged",),
-    "the rule of the verdicts": ("hiersched.study.claims.verdicts:verdict_of",),
+    "the rule of the verdicts": ("hiersched.study.claims.verdicts:Judged",),
     "what `hiersched replay` compares": ("hiersched.replay.verify:verify",),
     "what a command takes": ("hiersched.cli.run:add_commands",),
 }

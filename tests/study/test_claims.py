@@ -29,8 +29,6 @@ from hiersched.study.claims.verdicts import (
     Outcome,
     Statement,
     Verdict,
-    flipping,
-    verdict_of,
 )
 from hiersched.study.registry import CLAIMS
 from hiersched.study.statistics import Interval, halvings, mean_interval
@@ -95,12 +93,12 @@ def test_a_condition_needs_all_its_statements(outcomes: tuple[str, ...], outcome
 )
 def test_the_rule(base: list[str], others: list[str], verdict: str, flips: int) -> None:
     first, rest = condition(*base, axis=""), [condition(outcome) for outcome in others]
-    assert verdict_of(first, rest) == verdict
-    assert len(flipping(first, rest)) == flips
+    judged = Judged(first, tuple(rest))
+    assert (judged.verdict, len(judged.flipped_by)) == (verdict, flips)
     # What is shown for comparison changes nothing.
     shown = [condition("contradicted", counts=False), condition("holds", counts=False)]
-    assert verdict_of(first, [*rest, *shown]) == verdict
-    assert len(flipping(first, [*rest, *shown])) == flips
+    judged = Judged(first, (*rest, *shown))
+    assert (judged.verdict, len(judged.flipped_by)) == (verdict, flips)
 
 
 def of_seeds(*values: float, **claimed: float) -> Statement:
@@ -129,10 +127,10 @@ def test_a_verdict_stands_where_halves_of_the_seeds_agree() -> None:
     assert math.isnan(claim(of_seeds(1.0, above=0.0)).agreement)
     assert math.isnan(claim(of_seeds(1.0, 2.0), of_seeds(1.0, 2.0, 3.0)).agreement)
     held = claim(of_seeds(*[1.0 + 0.01 * i for i in range(9)], 1.5, above=0.0))
-    assert verdict_of(held, []) == "reproduced"
+    assert Judged(held, ()).verdict == "reproduced"
     few = of_seeds(3.0, *[0.02, 0.03, 0.02, 0.04, 0.02, 0.03, 0.02, 0.02], 0.01, above=0.1)
     assert few.outcome == "open"
-    assert verdict_of(claim(few), []) == "depends"  # without halvings: not reproduced
+    assert Judged(claim(few), ()).verdict == "depends"  # without halvings: not reproduced
 
 
 def test_training_seeds_are_halved_with_all_worlds() -> None:

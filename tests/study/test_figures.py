@@ -367,7 +367,8 @@ def test_a_bar_without_an_upper_bound_is_an_arrow_that_stretches_no_axis() -> No
     figure = Figure()
     axes = figure.subplots()
     hi = [np.inf, 2.5]
-    draw_series(axes, [1.0, 2.0], [1.0, 2.0], [0.5, 1.5], hi, policy_look("pf"))
+    rows = pd.DataFrame({"x": [1.0, 2.0], "x_lo": [0.5, 1.5], "x_hi": hi})
+    draw_series(axes, [1.0, 2.0], rows, "x", policy_look("pf"))
     _, ends = bars(axes)["PF"]
     assert ends.tolist() == [[0.5, 1.0], [1.5, 2.5]]
     (arrow,) = axes.texts
@@ -402,7 +403,8 @@ def test_zero_on_a_logarithmic_axis_is_marked_as_such() -> None:
     mean = np.array([0.0, 2e-4, 0.1])
     floor = zero_floor(mean)
     assert floor < 2e-5
-    draw_series(axes, [1, 2, 3], mean, mean - 0.01, mean + 0.01, policy_look("pf"), floor=floor)
+    rows = pd.DataFrame({"x": mean, "x_lo": mean - 0.01, "x_hi": mean + 0.01})
+    draw_series(axes, [1, 2, 3], rows, "x", policy_look("pf"), floor=floor)
     log_axis_with_zero(axes, floor, [0.1, np.nan])
     points, ends = bars(axes)["PF"]
     assert points[1] == pytest.approx([floor, 2e-4, 0.1])

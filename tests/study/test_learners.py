@@ -10,8 +10,9 @@ import pandas as pd
 import pytest
 
 from hiersched.scenario import Scenario
+from hiersched.study.figures.comparison import draw_learners
 from hiersched.study.figures.style import house_style, policy_look
-from hiersched.study.figures.training import draw_learners, draw_learning
+from hiersched.study.figures.training import draw_learning
 from hiersched.study.study import Study
 from hiersched.study.tables.policies import CELL_MEASURES, differing_keys, learner_table
 

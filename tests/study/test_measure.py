@@ -273,7 +273,7 @@ def test_a_file_that_is_missing_is_named(
     copied: Path, tiny: Scenario, group: str, name: str
 ) -> None:
     (copied / name).unlink()
-    with pytest.raises(FileNotFoundError, match=rf"{name}: no such file"):
+    with pytest.raises(FileNotFoundError, match=name):
         measure(tiny, copied, group)
     assert not (copied / table_file("windows", group)).exists()
 

@@ -17,17 +17,8 @@ IntArray = NDArray[np.int64]
 def backlog_path(arrivals_packets: NDArray[np.uint32], service_packets: FloatArray) -> FloatArray:
     """Return the backlogs that follow from arrivals and offered service, from empty queues.
 
-    Parameters
-    ----------
-    arrivals_packets
-        A(t), shape (T, U).
-    service_packets
-        mu(t), offered service, shape (T, U).
-
-    Returns
-    -------
-    ndarray
-        F(0) = 0 to F(T), F(t+1) = max(0, F(t) + A(t) - mu(t)), packets, shape (T + 1, U).
+    Of arrivals A(t) and service mu(t), shape (T, U), they are F(0) = 0 to F(T), shape (T + 1, U):
+    F(t+1) = max(0, F(t) + A(t) - mu(t)), all in packets.
     """
     backlog = np.zeros((len(arrivals_packets) + 1, arrivals_packets.shape[1]))
     arrivals = arrivals_packets.astype(np.float64)
@@ -44,19 +35,8 @@ def sojourn_slots(
 ) -> FloatArray:
     """Return the time from arrival to completion of every completed packet of one user.
 
-    Parameters
-    ----------
-    arrivals_packets
-        A(t), shape (T,).
-    service_packets
-        mu(t), shape (T,).
-    backlog
-        F(0) to F(T), shape (T + 1,).
-
-    Returns
-    -------
-    ndarray
-        Slots (fractions included), in the order of arrival, shape (packets completed,).
+    Arrivals and service have shape (T,), backlogs (T + 1,), as of `backlog_path`; the times are in
+    slots (fractions included), in the order of arrival, shape (packets completed,).
     """
     arrived = _arrived(arrivals_packets)
     completed = arrived - np.ceil(backlog).astype(np.int64)
@@ -79,19 +59,8 @@ def late_packets(
 ) -> tuple[IntArray, IntArray]:
     """Count one user's packets whose deadline falls into each slot, and those not out by then.
 
-    Parameters
-    ----------
-    arrivals_packets, service_packets
-        A(t) and mu(t), shape (T,).
-    backlog
-        F(0) to F(T), shape (T + 1,).
-    deadline_slots
-        Deadline in slots, any positive number.
-
-    Returns
-    -------
-    due, late
-        Packets, shape (T,) each.
+    Arguments are as of `sojourn_slots`; the deadline in slots is any positive number. Both counts
+    have shape (T,).
     """
     arrived = _arrived(arrivals_packets)
     whole = int(np.ceil(deadline_slots))

@@ -36,7 +36,6 @@ no place for zeros.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -68,58 +67,26 @@ of the late shares of this study's policies between worlds."""
 def mean_bounds(positive: FloatArray, zeros: int, level: float) -> tuple[float, float]:
     """Return the bounds of the mean of a sample of positive values and zeros.
 
-    Parameters
-    ----------
-    positive
-        Positive values, shape (n,), one or more. A single one shows no spread: its logarithm is
-        taken to spread by `SINGLE_SPREAD`.
-    zeros
-        Zeros in the sample.
-    level
-        Coverage; as much is left out below as above.
-
-    Returns
-    -------
-    tuple of float
-        Lower and upper bound; the upper one is infinite beyond `MOST_OVER_MEAN`.
+    The positive values have shape (n,), one or more. A single one shows no spread: its logarithm is
+    taken to spread by `SINGLE_SPREAD`. Of the coverage `level` as much is left out below as above;
+    the upper bound is infinite beyond `MOST_OVER_MEAN`.
     """
-    from scipy.special import ndtr
-
     logs = np.log(positive)
     sigma, sigma_weight = _sigmas(logs, NODES)
     share, share_weight = _shares(len(logs), zeros, NODES)
     middle = np.log(share)[:, None] + logs.mean() + 0.5 * sigma**2
     error = sigma / math.sqrt(len(logs))
     weight = share_weight[:, None] * sigma_weight
-
-    def probability_below(log_mean: float) -> float:
-        return float((weight * ndtr((log_mean - middle) / error)).sum())
-
-    start = float(logs.mean())
-    lower, upper = (
-        _quantile(probability_below, tail, start) for tail in (0.5 - 0.5 * level, 0.5 + 0.5 * level)
-    )
     most = math.log(MOST_OVER_MEAN) + math.log(float(positive.mean()))
-    return math.exp(lower), math.exp(upper) if upper < most else math.inf
+    return _bounds(middle, error, weight, level, start=float(logs.mean()), most=most)
 
 
 def crossed_bounds(values: FloatArray, level: float) -> tuple[float, float]:
     """Return the bounds of the mean of values of policies crossed with worlds.
 
-    Parameters
-    ----------
-    values
-        0 or above, shape (P, W), not all 0; P and W two or more.
-    level
-        Coverage; as much is left out below as above.
-
-    Returns
-    -------
-    tuple of float
-        Lower and upper bound; the upper one is infinite beyond `MOST_OVER_MEAN`.
+    Values are 0 or above, shape (P, W), not all 0; P and W two or more. Bounds are as of
+    `mean_bounds`.
     """
-    from scipy.special import ndtr
-
     start = math.log(float(values.mean()))
     by_policy, by_world = (_Part.of(values.mean(axis=axis)) for axis in (1, 0))
     means = np.add.outer(by_policy.log_mean, by_world.log_mean).ravel() - start
@@ -128,18 +95,47 @@ def crossed_bounds(values: FloatArray, level: float) -> tuple[float, float]:
         np.add.outer(by_policy.log_share, by_world.log_share).ravel(),
         np.multiply.outer(by_policy.share_weight, by_world.share_weight).ravel(),
     )
-    middle = np.add.outer(shares, means)
-    weight = np.multiply.outer(
-        share_weight, np.multiply.outer(by_policy.weight, by_world.weight).ravel()
+    weight = np.multiply.outer(by_policy.weight, by_world.weight).ravel()
+    return _bounds(
+        np.add.outer(shares, means),
+        errors,
+        np.multiply.outer(share_weight, weight),
+        level,
+        start=start,
+        most=math.log(MOST_OVER_MEAN) + start,
     )
+
+
+def _bounds(
+    middle: FloatArray,
+    error: FloatArray,
+    weight: FloatArray,
+    level: float,
+    *,
+    start: float,
+    most: float,
+) -> tuple[float, float]:
+    """Return exponentials of the outer quantiles of a mixture of normal distributions.
+
+    They are searched for from `start` on; the upper one is infinite where it is `most` or more.
+    """
+    from scipy.optimize import brentq
+    from scipy.special import ndtr
 
     def probability_below(log_mean: float) -> float:
-        return float((weight * ndtr((log_mean - middle) / errors)).sum())
+        return float((weight * ndtr((log_mean - middle) / error)).sum())
 
-    lower, upper = (
-        _quantile(probability_below, tail, start) for tail in (0.5 - 0.5 * level, 0.5 + 0.5 * level)
-    )
-    most = math.log(MOST_OVER_MEAN) + start
+    def quantile(tail: float) -> float:
+        low, high, step = start - 1.0, start + 1.0, 1.0
+        while probability_below(low) > tail:
+            step *= 2.0
+            low -= step
+        while probability_below(high) < tail:
+            step *= 2.0
+            high += step
+        return float(brentq(lambda x: probability_below(x) - tail, low, high, xtol=1e-6))
+
+    lower, upper = quantile(0.5 - 0.5 * level), quantile(0.5 + 0.5 * level)
     return math.exp(lower), math.exp(upper) if upper < most else math.inf
 
 
@@ -168,10 +164,10 @@ def _thinned(values: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatA
     values, weight = values[order], weight[order]
     # Each goes where the middle of its weight lies.
     group = ((np.cumsum(weight) - 0.5 * weight) * MOST_SHARES).astype(np.intp)
-    total = np.zeros(MOST_SHARES)
-    sums = np.zeros(MOST_SHARES)
-    np.add.at(total, group, weight)
-    np.add.at(sums, group, weight * values)
+    total, sums = (
+        np.bincount(group, each, MOST_SHARES).astype(np.float64)
+        for each in (weight, weight * values)
+    )
     held = total > 0.0
     return sums[held] / total[held], total[held]
 
@@ -206,17 +202,3 @@ def _nodes(count: int) -> tuple[FloatArray, FloatArray]:
     """Return nodes and weights of Gauss and Legendre in (0, 1)."""
     nodes, weights = np.polynomial.legendre.leggauss(count)
     return 0.5 + 0.5 * nodes, 0.5 * weights
-
-
-def _quantile(probability_below: Callable[[float], float], tail: float, start: float) -> float:
-    """Return where a distribution function reaches `tail`, searched for from `start` on."""
-    from scipy.optimize import brentq
-
-    low, high, step = start - 1.0, start + 1.0, 1.0
-    while probability_below(low) > tail:
-        step *= 2.0
-        low -= step
-    while probability_below(high) < tail:
-        step *= 2.0
-        high += step
-    return float(brentq(lambda x: probability_below(x) - tail, low, high, xtol=1e-6))

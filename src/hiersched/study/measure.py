@@ -111,14 +111,9 @@ def measured_files(scenario: Scenario, group: str) -> list[str]:
 def measure(scenario: Scenario, results: Path, group: str) -> None:
     """Read every log of a group once and write its tables.
 
-    Raises
-    ------
-    FileNotFoundError
-        If a log of the scenario's policies and seeds is missing, or measures of runs without one.
-    LogError
-        If a log is damaged or contradicts itself.
-    ValueError
-        If a learner's policies are not those of its training seeds, each in every world.
+    FileNotFoundError if a log is missing, or measures of runs without one; LogError if a log is
+    damaged or contradicts itself; ValueError if a learner's policies are not those of its training
+    seeds, each in every world.
     """
     names = measured_groups(scenario)[group]
     tables: Table = {name: [] for name in names}
@@ -131,8 +126,8 @@ def measure(scenario: Scenario, results: Path, group: str) -> None:
                 _measure_runs(tables, scenario, results, experiment, point, policy)
     if "episodes" in names:
         tables["episodes"] += [
-            training_episodes(results, scenario, group).assign(kind="training"),
-            checkpoint_episodes(results, scenario, group).assign(kind="checkpoint"),
+            _training_episodes(results, scenario, group).assign(kind="training"),
+            _checkpoint_episodes(results, scenario, group).assign(kind="checkpoint"),
         ]
     for name in names:
         table = pd.concat(tables[name], ignore_index=True) if tables[name] else pd.DataFrame()
@@ -148,25 +143,24 @@ def _measure_runs(
     policy: str,
 ) -> None:
     """Add the runs of a policy at a point to the tables."""
-    rows = []
+    rows, evaluated = [], experiment.stage == "evaluate"
     labels = {"experiment": experiment.name, "axis": experiment.axis, "value": point.value}
+    fields = (*MEASURED, "mean_fading_power") if evaluated else MEASURED
     for seed in experiment.seeds:
-        path = _existing(results / files.run_log(experiment, point, policy, seed))
-        evaluated = experiment.stage == "evaluate"
-        run = read_slots(path, (*MEASURED, *(("mean_fading_power",) if evaluated else ())))
+        run = read_slots(results / files.run_log(experiment, point, policy, seed), fields)
         sojourns = checked_sojourns(run, point.scenario)
         rows.append(metrics_row(slot_metrics(run, point.scenario, sojourns), point.scenario))
-        own: dict[str, Any] = {**labels, "policy": policy, "seed": seed}
-        tables["windows"].append(_windows(run.fields, point.scenario).assign(**own))
+        found = {"windows": _windows(run.fields, point.scenario)}
         if evaluated:
-            tables["slots"].append(_slots(run).assign(**own))
-            tables["rates"].append(_rates(run, point.scenario).assign(**own))
-            tables["delays"].append(_delays(sojourns, point.scenario).assign(**own))
+            found["slots"] = _slots(run)
+            found["rates"] = _rates(run, point.scenario)
+            found["delays"] = _delays(sojourns, point.scenario)
+        for name, frame in found.items():
+            tables[name].append(frame.assign(**labels, policy=policy, seed=seed))
     table = pd.DataFrame(rows).assign(logged=True)
     if is_crossed(scenario, policy):
-        crossed = _existing(results / files.crossed_file(experiment, point, policy))
-        others = pd.read_parquet(crossed).assign(logged=False)
-        table = pd.concat([table, others], ignore_index=True)
+        others = pd.read_parquet(results / files.crossed_file(experiment, point, policy))
+        table = pd.concat([table, others.assign(logged=False)], ignore_index=True)
     table["policy_seed"] = table["policy_seed"].astype("Int64")
     if policy in scenario.learned:
         table = _in_order(table, scenario, experiment, policy)
@@ -179,13 +173,13 @@ def _in_order(
     table: pd.DataFrame, scenario: Scenario, experiment: Experiment, policy: str
 ) -> pd.DataFrame:
     """Return a learner's runs by training seed and world, after a check that each is there."""
-    learning = scenario.learned[policy]
-    wanted = list(product(learning.seeds, experiment.seeds))
+    seeds = scenario.learned[policy].seeds
+    wanted = list(product(seeds, experiment.seeds))
     places = list(zip(table["policy_seed"], table["seed"], strict=True))
     if sorted(places, key=str) != sorted(wanted, key=str):
         raise ValueError(
             f"{experiment.name} {policy}: not each of the policies of training seeds "
-            f"{', '.join(map(str, learning.seeds))} once in each world"
+            f"{', '.join(map(str, seeds))} once in each world"
         )
     return table.iloc[[places.index(pair) for pair in wanted]]
 
@@ -237,16 +231,8 @@ def _rates(run: RunSlots, scenario: Scenario) -> pd.DataFrame:
             share = np.searchsorted(sample, RATE_EDGES, side="right") / max(1, sample.size)
             begin = max(0, int(np.searchsorted(share, 0.0, side="right")) - 1)
             end = int(np.searchsorted(share, 1.0)) + 1
-            frames.append(
-                pd.DataFrame(
-                    {
-                        "span": span,
-                        "slice": name,
-                        "rate_mbps": RATE_EDGES[begin:end],
-                        "share": share[begin:end],
-                    }
-                )
-            )
+            rises = {"rate_mbps": RATE_EDGES[begin:end], "share": share[begin:end]}
+            frames.append(pd.DataFrame({"span": span, "slice": name, **rises}))
     return pd.concat(frames, ignore_index=True)
 
 
@@ -267,86 +253,59 @@ def _measure_gains(
     window = slots_per_window(point.scenario)
     labels = {"experiment": experiment.name, "axis": experiment.axis, "value": point.value}
     for seed in experiment.seeds:
-        path = _existing(results / files.run_log(experiment, point, gain, seed))
+        path = results / files.run_log(experiment, point, gain, seed)
         with LogReader(path, verify="chunks") as log:
             fields = log.read("/robots", ["tracking_error_m", "control_saturated"])
-        own: dict[str, Any] = {**labels, "gain": gain, "seed": seed}
-        tables["windows"].append(_windows(fields, point.scenario).assign(**own))
+        windows = _windows(fields, point.scenario)
+        tables["windows"].append(windows.assign(**labels, gain=gain, seed=seed))
         if experiment.axis or point.delays is None:
             continue
         begin = (min(point.delays.windows) - 1) * window
         span = slice(max(0, begin - window), begin + (1 + WINDOWS_AFTER) * window)
-        error_m = fields["tracking_error_m"][span]
-        rms_cm = 100.0 * np.sqrt((error_m**2).mean(axis=1))
-        slots = np.arange(len(rms_cm)) + span.start - begin
-        tables["slots"].append(pd.DataFrame({"slot": slots, "error_cm": rms_cm}).assign(**own))
+        error_cm = 100.0 * np.sqrt((fields["tracking_error_m"][span] ** 2).mean(axis=1))
+        slots = np.arange(len(error_cm)) + span.start - begin
+        trace = pd.DataFrame({"slot": slots, "error_cm": error_cm})
+        tables["slots"].append(trace.assign(**labels, gain=gain, seed=seed))
 
 
-def training_episodes(results: Path, scenario: Scenario, learner: str) -> pd.DataFrame:
-    """Read rewards and backlogs of every training episode, mean over its slots (and users).
-
-    Returns
-    -------
-    DataFrame
-        Columns seed, episode (1 = the first), urllc_reward, embb_reward, urllc_backlog_packets,
-        embb_backlog_packets, urllc_late_share (late packets over due packets of the episode).
-
-    Raises
-    ------
-    LogError
-        If a log does not consist of whole episodes.
-    """
+def _training_episodes(results: Path, scenario: Scenario, learner: str) -> pd.DataFrame:
+    """Read every training episode of a learner, number 1 the first, by training seed."""
     frames = []
     for seed in scenario.learned[learner].seeds:
-        path = _existing(results / files.training_log(learner, seed))
+        path = results / files.training_log(learner, seed)
         with LogReader(path, verify="chunks") as log:
             length = int(log.metadata["slots_per_episode"])
             if not log.num_slots or log.num_slots % length:
-                raise LogError(
-                    path, 0, f"{log.num_slots} slots are no whole episodes of {length} slots"
-                )
+                said = f"{log.num_slots} slots are no whole episodes of {length} slots"
+                raise LogError(path, 0, said)
             episode = np.arange(1, log.num_slots // length + 1)
             columns = _episode_columns(log, length)
         frames.append(pd.DataFrame({"seed": seed, "episode": episode, **columns}))
     return pd.concat(frames, ignore_index=True)
 
 
-def checkpoint_episodes(results: Path, scenario: Scenario, learner: str) -> pd.DataFrame:
-    """Read what the policies of a learner do without noise, at the start and during training.
+def _checkpoint_episodes(results: Path, scenario: Scenario, learner: str) -> pd.DataFrame:
+    """Read what the policies of a learner do without noise, mean over the fixed worlds.
 
-    Returns
-    -------
-    DataFrame
-        Columns as of `training_episodes`, means over the fixed worlds; episode: of the training
-        behind which it is.
-
-    Raises
-    ------
-    LogError
-        If a log has not every checkpoint of the scenario.
+    `episode` is that of the training behind which the checkpoint is.
     """
-    frames = []
-    learning = scenario.learned[learner]
-    episodes = [learning.num_envs * r for r in checkpoint_rounds(learning)]
+    learning, frames = scenario.learned[learner], []
+    episodes = [learning.num_envs * number for number in checkpoint_rounds(learning)]
     for seed in learning.seeds:
-        path = _existing(results / files.checkpoint_log(learner, seed))
+        path = results / files.checkpoint_log(learner, seed)
         with LogReader(path, verify="chunks") as log:
             length = int(log.metadata["slots_per_episode"])
             worlds = int(log.metadata["episodes_per_round"])
             if log.num_slots != length * worlds * len(episodes):
-                raise LogError(
-                    path,
-                    0,
-                    f"{log.num_slots} slots, must be {len(episodes)} checkpoints of {worlds} "
-                    f"episodes of {length} slots",
-                )
+                must = f"{len(episodes)} checkpoints of {worlds} episodes of {length} slots"
+                raise LogError(path, 0, f"{log.num_slots} slots, must be {must}")
             columns = _episode_columns(log, length * worlds)
         frames.append(pd.DataFrame({"seed": seed, "episode": episodes, **columns}))
     return pd.concat(frames, ignore_index=True)
 
 
 def _episode_columns(log: LogReader, length: int) -> dict[str, NDArray[Any]]:
-    """Return the columns of `training_episodes`, one value for every `length` slots."""
+    """Return means over every `length` slots, and over users, and the share of late packets."""
     reward = log.read("/delay", ["reward_urllc", "reward_embb"])
     if log.profile == "decisions":
         slices = log.read("/delay", SLICE_FIELDS)
@@ -354,25 +313,15 @@ def _episode_columns(log: LogReader, length: int) -> dict[str, NDArray[Any]]:
         users = log.read("/delay", ["due_packets", "late_packets"])
         users |= log.read("/queue", ["backlog_packets"])
         slices = slice_fields(users, log.dims.num_urllc)
-    late, due = (
-        _by_episode(slices[name], length) for name in ("late_urllc_packets", "due_urllc_packets")
-    )
+    mean = {
+        name: values.reshape(len(values) // length, -1).mean(axis=1)
+        for name, values in {**reward, **slices}.items()
+    }
+    late, due = mean["late_urllc_packets"], mean["due_urllc_packets"]
     return {
-        "urllc_reward": _by_episode(reward["reward_urllc"], length),
-        "embb_reward": _by_episode(reward["reward_embb"], length),
-        "urllc_backlog_packets": _by_episode(slices["backlog_urllc_packets"], length),
-        "embb_backlog_packets": _by_episode(slices["backlog_embb_packets"], length),
+        "urllc_reward": mean["reward_urllc"],
+        "embb_reward": mean["reward_embb"],
+        "urllc_backlog_packets": mean["backlog_urllc_packets"],
+        "embb_backlog_packets": mean["backlog_embb_packets"],
         "urllc_late_share": np.divide(late, due, out=np.full(len(due), np.nan), where=due > 0),
     }
-
-
-def _by_episode(values: NDArray[Any], length: int) -> NDArray[Any]:
-    """Return the mean over the slots of each episode, and over users."""
-    means: NDArray[Any] = values.reshape(len(values) // length, -1).mean(axis=1)
-    return means
-
-
-def _existing(path: Path) -> Path:
-    if not path.is_file():
-        raise FileNotFoundError(f"{path}: no such file")
-    return path

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import math
 import os
-from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -107,25 +107,13 @@ MEASURED = (
     "tracking_error_m",
     "dexterity_index",
 )
-_QUEUES = MEASURED[:3]
-_PACKETS = ("due_packets", "late_packets")
 
 
 def run_metrics(path: str | os.PathLike[str], scenario: Scenario) -> RunMetrics:
     """Measure one run from its log.
 
-    Parameters
-    ----------
-    path
-        Log of an evaluation or a sweep, from the first slot on.
-    scenario
-        Gives deadlines, reliability levels and window.
-
-    Raises
-    ------
-    LogError
-        If the log is damaged, or its backlogs or late packets are not those that follow from its
-        arrivals and service.
+    LogError if the log is damaged, or its backlogs or late packets are not those that follow from
+    its arrivals and service.
     """
     return slot_metrics(read_slots(path, MEASURED), scenario)
 
@@ -134,44 +122,45 @@ def slot_metrics(
     run: RunSlots, scenario: Scenario, sojourn_s: list[FloatArray] | None = None
 ) -> RunMetrics:
     """Measure one run from its slots, see `run_metrics`; `sojourn_s`: from `checked_sojourns`."""
-    urllc, metadata = run.num_urllc, run.metadata
-    policy_seed = metadata.get("policy_seed")
+    metadata, policy_seed = run.metadata, run.metadata.get("policy_seed")
     if sojourn_s is None:
         sojourn_s = checked_sojourns(run, scenario)
     fields = {name: run.measured(name) for name in MEASURED}
-    rate, backlog = fields["rate_mbps"], fields["backlog_packets"]
     due, late = fields["due_packets"], fields["late_packets"]
-    shares = _share(late.sum(axis=0, dtype=np.int64), due.sum(axis=0, dtype=np.int64))
-    levels = scenario.traffic.reliability_levels
-    penalty = fields["penalty_urllc"] + fields["penalty_embb"]
+    late_by_user, due_by_user = (counted.sum(axis=0, dtype=np.int64) for counted in (late, due))
+    unknown = np.full(len(due_by_user), np.nan)
+    shares = np.divide(late_by_user, due_by_user, out=unknown, where=due_by_user > 0)
+    urllc = slice(0, run.num_urllc)
+    measures: dict[str, Any] = _robot_measures(run, scenario)
+    measures |= {name: metadata.get(name, "") for name in ("stage", "axis", "value")}
+    for name, own in (("urllc", urllc), ("embb", slice(run.num_urllc, None))):
+        packets = int(due[:, own].sum(dtype=np.int64))
+        lost = int(late[:, own].sum(dtype=np.int64))
+        measures |= {
+            f"{name}_due_packets": packets,
+            f"{name}_late_share": lost / packets if packets else math.nan,
+            f"{name}_rate_mbps": _mean(fields["rate_mbps"][:, own]),
+            f"{name}_backlog_packets": _mean(fields["backlog_packets"][:, own]),
+            **_delay_quantiles(name, sojourn_s[own]),
+        }
     return RunMetrics(
         policy=metadata["policy"],
         policy_seed=None if policy_seed is None else int(policy_seed),
         seed=int(metadata["seed"]),
-        stage=metadata.get("stage", ""),
-        axis=metadata.get("axis", ""),
-        value=metadata.get("value", ""),
-        num_slots=len(rate),
-        urllc_due_packets=int(due[:, :urllc].sum(dtype=np.int64)),
-        embb_due_packets=int(due[:, urllc:].sum(dtype=np.int64)),
-        urllc_late_share=_late_share(late[:, :urllc], due[:, :urllc]),
-        embb_late_share=_late_share(late[:, urllc:], due[:, urllc:]),
-        late_share_by_user=tuple(float(share) for share in shares),
+        num_slots=len(due),
+        **measures,
+        late_share_by_user=tuple(shares.tolist()),
         urllc_users_violating=tuple(
-            _mean(shares[:urllc] > _allowed_late_share(level)) for level in levels
+            # Rounded: 1 late packet in 10 is not more than 1 - 0.9 = 0.0999…
+            _mean(shares[urllc] > round(1.0 - level, 12))
+            for level in scenario.traffic.reliability_levels
         ),
-        urllc_rate_mbps=_mean(rate[:, :urllc]),
-        embb_rate_mbps=_mean(rate[:, urllc:]),
-        urllc_backlog_packets=_mean(backlog[:, :urllc]),
-        embb_backlog_packets=_mean(backlog[:, urllc:]),
-        **_delay_quantiles("urllc", sojourn_s[:urllc]),
-        **_delay_quantiles("embb", sojourn_s[urllc:]),
-        **_robot_measures(run, scenario),
-        arrival_clamped_share=_mean(fields["arrival_clamped"][:, :urllc]),
-        mean_square_backlog=_mean(0.5 * (backlog**2).sum(axis=1)),
+        arrival_clamped_share=_mean(fields["arrival_clamped"][:, urllc]),
+        mean_square_backlog=_mean(0.5 * (fields["backlog_packets"] ** 2).sum(axis=1)),
         # Without the priced constraint: multipliers differ between policies, so with it a policy
         # would be credited with its own.
-        penalty_cost=scenario.objective.penalty_weight * _mean(penalty),
+        penalty_cost=scenario.objective.penalty_weight
+        * _mean(fields["penalty_urllc"] + fields["penalty_embb"]),
     )
 
 
@@ -183,14 +172,10 @@ def violation_column(level: float) -> str:
 def metrics_row(metrics: RunMetrics, scenario: Scenario) -> dict[str, Any]:
     """Return measures as a row of a table, one number a column."""
     row = asdict(metrics)
-    by_user: Iterable[float] = row.pop("late_share_by_user")
-    violating: Iterable[float] = row.pop("urllc_users_violating")
+    by_user, violating = row.pop("late_share_by_user"), row.pop("urllc_users_violating")
     levels = scenario.traffic.reliability_levels
-    for level, share in zip(levels, violating, strict=True):
-        row[violation_column(level)] = share
-    for user, share in enumerate(by_user):
-        row[f"late_share_user_{user}"] = share
-    return row
+    row |= {violation_column(level): x for level, x in zip(levels, violating, strict=True)}
+    return row | {f"late_share_user_{user}": share for user, share in enumerate(by_user)}
 
 
 def measured_row(run: RunSlots, scenario: Scenario) -> dict[str, Any]:
@@ -199,19 +184,9 @@ def measured_row(run: RunSlots, scenario: Scenario) -> dict[str, Any]:
 
 
 def tracking_error_by_window_cm(tracking_error_m: FloatArray, slots_per_window: int) -> FloatArray:
-    """Return the root mean square tracking error of whole windows.
+    """Return the root mean square tracking error of whole windows [cm], by robot.
 
-    Parameters
-    ----------
-    tracking_error_m
-        Root mean square over each slot [m], shape (T, R).
-    slots_per_window
-        Slots of a window; the slots behind the last whole window are left out.
-
-    Returns
-    -------
-    ndarray
-        Centimetres, shape (T // slots_per_window, R).
+    From that over each slot [m], shape (T, R), to shape (T // slots_per_window, R).
     """
     windows = len(tracking_error_m) // slots_per_window
     square = tracking_error_m[: windows * slots_per_window] ** 2
@@ -228,10 +203,7 @@ def slots_per_window(scenario: Scenario) -> int:
 def checked_sojourns(run: RunSlots, scenario: Scenario) -> list[FloatArray]:
     """Return the sojourn times [s] of delivered packets that arrived behind the warm-up, by user.
 
-    Raises
-    ------
-    LogError
-        If the run's backlogs or late packets do not follow from its arrivals and service.
+    LogError if the run's backlogs or late packets do not follow from its arrivals and service.
     """
     arrivals, service = run.fields["arrivals_packets"], run.fields["service_packets"]
     backlog = backlog_path(arrivals, service)
@@ -243,56 +215,35 @@ def checked_sojourns(run: RunSlots, scenario: Scenario) -> list[FloatArray]:
         deadline_s = traffic.deadline_s if user < run.num_urllc else traffic.embb_deadline_s
         own = arrivals[:, user], service[:, user], backlog[:, user]
         due, late = late_packets(*own, deadline_in_slots(deadline_s, run.slot_s))
-        for name, counted in zip(_PACKETS, (due, late), strict=True):
+        for name, counted in (("due_packets", due), ("late_packets", late)):
             logged = run.fields[name][:, user]
             if not np.array_equal(counted, logged):
                 slot = int(np.flatnonzero(counted != logged)[0])
-                raise LogError(
-                    run.source,
-                    0,
+                said = (
                     f"{name} of user {user} in slot {slot} is {logged[slot]}, but its arrivals "
-                    f"and service give {counted[slot]} at a deadline of {deadline_s:g} s",
+                    f"and service give {counted[slot]} at a deadline of {deadline_s:g} s"
                 )
+                raise LogError(run.source, 0, said)
         before = int(arrivals[: run.warmup_slots, user].sum(dtype=np.int64))
         result.append(sojourn_slots(*own)[before:] * run.slot_s)
     return result
 
 
-def _allowed_late_share(reliability: float) -> float:
-    """Return 1 - chi, rounded: 1 late packet in 10 is not more than 1 - 0.9 = 0.0999…."""
-    return round(1.0 - reliability, 12)
-
-
-def _share(part: NDArray[np.int64], whole: NDArray[np.int64]) -> FloatArray:
-    share: FloatArray = np.divide(part, whole, out=np.full(part.shape, np.nan), where=whole > 0)
-    return share
-
-
-def _late_share(late: NDArray[np.uint32], due: NDArray[np.uint32]) -> float:
-    total = int(due.sum(dtype=np.int64))
-    return int(late.sum(dtype=np.int64)) / total if total else float("nan")
-
-
 def _mean(values: NDArray[Any]) -> float:
-    return float(values.mean()) if values.size else float("nan")
+    return float(values.mean()) if values.size else math.nan
 
 
 def _delay_quantiles(slice_name: str, sojourn_s: list[FloatArray]) -> dict[str, float]:
     """Return quantiles over the delivered packets of a slice; each is the delay of a packet."""
     pooled = np.concatenate(sojourn_s) if sojourn_s else np.empty(0)
-    levels = list(DELAY_QUANTILES.values())
-    values = (
-        np.quantile(pooled, levels, method="inverted_cdf")
-        if pooled.size
-        else np.full(len(levels), np.nan)
-    )
-    return {
-        f"{slice_name}_delay_{name}_s": float(value)
-        for name, value in zip(DELAY_QUANTILES, values, strict=True)
-    }
+    values = np.full(len(DELAY_QUANTILES), np.nan)
+    if pooled.size:
+        values = np.quantile(pooled, list(DELAY_QUANTILES.values()), method="inverted_cdf")
+    names = (f"{slice_name}_delay_{name}_s" for name in DELAY_QUANTILES)
+    return dict(zip(names, values.tolist(), strict=True))
 
 
-def _robot_measures(run: RunSlots, scenario: Scenario) -> dict[str, float]:
+def _robot_measures(run: RunSlots, scenario: Scenario) -> dict[str, Any]:
     window = slots_per_window(scenario)
     fields, warmup = run.fields, run.warmup_slots
     whole = tracking_error_by_window_cm(fields["tracking_error_m"], window)
@@ -308,6 +259,6 @@ def _robot_measures(run: RunSlots, scenario: Scenario) -> dict[str, float]:
         "delay_steps": _mean(fields["delay_steps"][warmup:]),
         "delay_capped_share": _mean(fields["delay_capped"][warmup:]),
         "control_saturations_per_s": (
-            float(saturated.sum(dtype=np.int64)) / robot_s if robot_s else float("nan")
+            float(saturated.sum(dtype=np.int64)) / robot_s if robot_s else math.nan
         ),
     }

@@ -35,21 +35,9 @@ SYMBOLS = MappingProxyType(
 """Symbol of a scenario's key, in the paper's notation where it has one."""
 
 
-class GainNumbers(NamedTuple):
-    """One row of Table II: tracking errors whose unit the paper does not give."""
-
-    nominal: float
-    adjusted: float
-
-
-TABLE2 = MappingProxyType(
-    {
-        5: GainNumbers(0.8962, 0.7077),
-        10: GainNumbers(0.7877, 0.5609),
-        20: GainNumbers(0.8726, 0.5660),
-    }
-)
-"""Table II by time slot."""
+TABLE2 = MappingProxyType({5: (0.8962, 0.7077), 10: (0.7877, 0.5609), 20: (0.8726, 0.5660)})
+"""Table II by time slot: tracking errors with the nominal and the adjusted gain, in a unit that the
+paper does not give."""
 
 
 class RateNumbers(NamedTuple):

@@ -13,12 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hiersched.core.registry import Registry
-from hiersched.experiments.points import (
-    BASELINE,
-    axis_policies,
-    experiments,
-    trained_learners,
-)
+from hiersched.experiments.points import BASELINE, axis_policies, experiments, trained_learners
 from hiersched.scenario import Scenario
 
 if TYPE_CHECKING:
@@ -34,36 +29,25 @@ Condition = Callable[[Scenario], bool]
 
 @dataclass(frozen=True, kw_only=True)
 class Shown:
-    """A registered table, figure or claim.
-
-    Attributes
-    ----------
-    name
-        Of its files.
-    build
-        From a `Study` to a DataFrame, a matplotlib figure, or what was judged.
-    title, note
-        Heading and text of a table; of a figure its caption in reports; of a claim the paper's
-        words and how they are measured.
-    reads
-        Tables of measures that it reads (`Study.sources` lists them).
-    when
-        Whether a scenario has what it shows.
-    columns
-        Columns of a table's Markdown, all unless given; none: no Markdown.
-    reference, unswept
-        Of a claim: its place in the paper, and which sensitivity has not been run.
-    """
+    """A registered table, figure or claim."""
 
     name: str
+    """Of its files."""
     build: Callable[[Study], Any]
+    """From a `Study` to a DataFrame, a matplotlib figure, or what was judged."""
     title: str = ""
     note: str = ""
+    """Heading and text of a table; of a figure its caption in reports; of a claim the paper's words
+    and how they are measured."""
     reads: tuple[str, ...] = ()
+    """Tables of measures that it reads (`Study.sources` lists them)."""
     when: Condition
+    """Whether a scenario has what it shows."""
     columns: tuple[str, ...] | None = None
+    """Columns of a table's Markdown, all unless given; none: no Markdown."""
     reference: str = ""
     unswept: str = ""
+    """Of a claim: its place in the paper, and which sensitivity has not been run."""
 
     @property
     def file(self) -> Path:
@@ -117,16 +101,8 @@ def claim(
     unswept: str = "",
 ) -> Callable[[Callable[[Study], Judged]], Callable[[Study], Judged]]:
     """Register a claim: a function of a `Study` that says what came out; see `Shown`."""
-    return _adds(
-        CLAIMS,
-        f"claim{number}",
-        title=paper,
-        note=measured,
-        reads=reads,
-        when=when,
-        reference=reference,
-        unswept=unswept,
-    )
+    texts = {"title": paper, "note": measured, "reference": reference, "unswept": unswept}
+    return _adds(CLAIMS, f"claim{number}", reads=reads, when=when, **texts)
 
 
 def _adds(registry: Registry[Shown], name: str, **given: Any) -> Callable[[Any], Any]:
@@ -147,9 +123,9 @@ def varies(
 
     def condition(scenario: Scenario) -> bool:
         axis = axis_of(scenario, key)
-        if axis is None or among is None:
-            return axis is not None
-        return bool(among(scenario, axis_policies(scenario, axis)))
+        if axis is None:
+            return False
+        return among is None or bool(among(scenario, axis_policies(scenario, axis)))
 
     return condition
 

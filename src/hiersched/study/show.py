@@ -12,16 +12,9 @@ from hiersched.study.study import Study
 
 
 def show(scenario: Scenario, results: Path, kind: str, name: str, module: str) -> None:
-    """Make one thing and write its files.
+    """Make a ``table``, ``figure`` or ``claim`` of a study and write its files.
 
-    Parameters
-    ----------
-    scenario, results
-        The study.
-    kind, name
-        ``table``, ``figure`` or ``claim``, and its name in the registry.
-    module
-        Where it is registered; the scenario's plug-ins are there already.
+    It is registered by that name in a module; the scenario's plug-ins are imported already.
     """
     if module not in sys.modules:
         import_module(module)

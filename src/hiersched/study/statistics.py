@@ -30,17 +30,17 @@ the edge of the statistical precipice", NeurIPS 2021).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from hiersched.study.lognormal import crossed_bounds, mean_bounds
+from hiersched.study.lognormal import FloatArray, crossed_bounds, mean_bounds
 
 IntArray = npt.NDArray[np.intp]
 
 LEVEL = 0.95
+"""Coverage of every interval."""
 RESAMPLES = 9999
 MOST_HALVINGS = 1000
 
@@ -52,45 +52,32 @@ class Interval(NamedTuple):
     lo: float
     hi: float
 
+    def columns(self, name: str) -> dict[str, float]:
+        """Return columns of a table: the estimate as `name`, its bounds as ``_lo`` and ``_hi``."""
+        return {name: self.mean, f"{name}_lo": self.lo, f"{name}_hi": self.hi}
 
-def interval_columns(name: str, interval: Interval) -> dict[str, float]:
-    """Return columns of a table: the estimate as `name`, its bounds as ``_lo`` and ``_hi``."""
-    return {name: interval.mean, f"{name}_lo": interval.lo, f"{name}_hi": interval.hi}
 
-
-def mean_interval(values: npt.ArrayLike, level: float = LEVEL) -> Interval:
+def mean_interval(values: npt.ArrayLike) -> Interval:
     """Return the mean and its Student t interval, mean +- t s / sqrt(n).
 
-    Parameters
-    ----------
-    values
-        One value a seed, shape (n,), or of policies crossed with worlds, shape (P, W). A NaN makes
-        all of the result NaN.
-    level
-        Coverage.
-
-    Raises
-    ------
-    ValueError
-        If there is no value.
+    Values are one a seed, shape (n,), or of policies crossed with worlds, shape (P, W). A NaN makes
+    all of the result NaN; ValueError if there is no value.
     """
     sample = _sample(values)
     mean = float(sample.mean())
     if sample.ndim == 2 and max(np.ptp(sample.mean(axis=axis)) for axis in (0, 1)) == 0.0:
         sample = sample.ravel()  # neither policies nor worlds differ: what does is of the pairs
     if sample.ndim == 2:
-        half = _crossed_half_width(sample, level)
+        half = _crossed_half_width(sample)
+    elif len(sample) < 2:
+        half = math.nan
     else:
-        half = _t_quantile(len(sample) - 1, level) * _standard_error(sample)
+        half = _t_quantile(len(sample) - 1) * (float(sample.std(ddof=1)) / math.sqrt(len(sample)))
     return Interval(mean, mean - half, mean + half)
 
 
 def skewed_interval(
-    values: npt.ArrayLike,
-    level: float = LEVEL,
-    *,
-    resolution: float = 0.0,
-    most: float = math.inf,
+    values: npt.ArrayLike, *, resolution: float = 0.0, most: float = math.inf
 ) -> Interval:
     """Return the mean of values of 0 and above that are skewed, and its interval.
 
@@ -105,8 +92,6 @@ def skewed_interval(
     values
         One value a world, shape (n,), or of policies crossed with worlds, shape (P, W): see
         `lognormal.crossed_bounds`. A NaN makes all of the result NaN.
-    level
-        Coverage.
     resolution
         Least value above 0 that a world can show. Where all values are 0 the upper bound is the
         least mean that this many worlds tell from 0 (`smallest_mean`), and never less otherwise; of
@@ -127,7 +112,7 @@ def skewed_interval(
     mean = float(sample.mean())
     if sample.size < 2 or math.isnan(mean):
         return Interval(mean, math.nan, math.nan)
-    least = smallest_mean(min(sample.shape), resolution, level)
+    least = smallest_mean(min(sample.shape), resolution)
     if not sample.any():
         return Interval(0.0, 0.0, min(least, most))
     parts = [sample.mean(axis=axis) for axis in (1, 0)] if sample.ndim == 2 else [sample]
@@ -137,63 +122,48 @@ def skewed_interval(
         sample = spread if np.ptp(spread) > 1e-12 * mean else sample.ravel()
         parts = [sample]
     if sample.ndim == 2:
-        lo, hi = crossed_bounds(sample, level)
+        lo, hi = crossed_bounds(sample, LEVEL)
     else:
         positive = sample[sample > 0.0]
         if len(positive) == len(sample) and np.ptp(sample) <= 1e-12 * mean:
             return Interval(mean, mean, mean)
-        lo, hi = mean_bounds(positive, len(sample) - len(positive), level)
-    if any(
-        np.count_nonzero(part) == 1 for part in parts
-    ):  # one world, or policy, alone does not bound the mean from below
-        lo = 0.0
+        lo, hi = mean_bounds(positive, len(sample) - len(positive), LEVEL)
+    if any(np.count_nonzero(part) == 1 for part in parts):
+        lo = 0.0  # one world, or policy, alone does not bound the mean from below
     return Interval(mean, min(lo, mean), min(max(hi, mean, least), most))
 
 
-def smallest_mean(count: int, resolution: float, level: float = LEVEL) -> float:
+def smallest_mean(count: int, resolution: float) -> float:
     """Return the least mean over worlds that a run tells from 0, with worlds as units.
 
     Whatever is seen in a share p of all worlds is seen in none of `count` worlds with probability
-    (1 - p)^count. Above p = 1 - (1 - level)^(1 / count) that is rarer than 1 - level; a world in
+    (1 - p)^count. Above p = 1 - (1 - LEVEL)^(1 / count) that is rarer than 1 - LEVEL; a world in
     which it is seen shows at least `resolution`.
 
-    Parameters
-    ----------
-    count
-        Worlds, n.
-    resolution
-        Least value above 0 that a world can show. Of late packets: those of a batch, which come
-        and are late together, over all that are due.
-    level
-        Coverage.
+    Of late packets the resolution is those of a batch, which come and are late together, over all
+    that are due.
     """
-    return float((1.0 - (1.0 - level) ** (1.0 / count)) * resolution)
+    return float((1.0 - (1.0 - LEVEL) ** (1.0 / count)) * resolution)
 
 
-def paired_difference(
-    values: npt.ArrayLike, baseline: npt.ArrayLike, level: float = LEVEL
-) -> Interval:
+def paired_difference(values: npt.ArrayLike, baseline: npt.ArrayLike) -> Interval:
     """Return the mean of values - baseline, world by world, with its Student t interval.
 
     Values of policies crossed with worlds, shape (P, W), are paired by world within each policy.
     """
     a, b = _pair(values, baseline)
-    return mean_interval(a - b, level)
+    return mean_interval(a - b)
 
 
 def log_ratios(
     values: npt.ArrayLike, baseline: npt.ArrayLike, resolution: float = 0.0
-) -> npt.NDArray[np.float64]:
+) -> FloatArray:
     """Return the logarithm of the ratio of two positive measures, world by world.
 
-    Parameters
-    ----------
-    values, baseline
-        One value a world, shape (n,), in the same order of worlds; either may be of policies
-        crossed with worlds, shape (P, n), and both of as many policies.
-    resolution
-        Least value above 0 that a world can show: stands for values of 0, whose ratio it bounds
-        from above, and for baselines of 0, whose ratio it bounds from below.
+    Both have one value a world, shape (n,), in the same order of worlds, or are of policies crossed
+    with worlds, shape (P, n), and then of as many policies. The least value above 0 that a world
+    can show, `resolution`, stands for values of 0, whose ratio it bounds from above, and for
+    baselines of 0, whose ratio it bounds from below.
 
     Returns
     -------
@@ -204,39 +174,24 @@ def log_ratios(
     a, b = _pair(values, baseline)
     with np.errstate(divide="ignore", invalid="ignore"):
         log_a, log_b = (np.log(np.where(sample == 0.0, resolution, sample)) for sample in (a, b))
-        ratios: npt.NDArray[np.float64] = log_a - log_b
+        ratios: FloatArray = log_a - log_b
     ratios[(a == 0.0) & (b == 0.0)] = math.nan
     ratios[~np.isfinite(ratios)] = math.nan
     return ratios
 
 
 def paired_log_ratio(
-    values: npt.ArrayLike,
-    baseline: npt.ArrayLike,
-    level: float = LEVEL,
-    *,
-    resolution: float = 0.0,
+    values: npt.ArrayLike, baseline: npt.ArrayLike, *, resolution: float = 0.0
 ) -> Interval:
     """Return the typical ratio of paired samples: geometric mean, Student t on its logarithm.
 
     Where values are 0, the ratio and its upper bound are upper bounds (see `log_ratios`), and the
     lower bound is 0. Where baselines are, ratio and lower bound are lower bounds, and the upper
     bound is infinite. All is NaN where values and baselines are, be it in different worlds, since
-    nothing bounds the ratio then, and where there is no resolution to stand for a 0.
-
-    Parameters
-    ----------
-    values, baseline, resolution
-        As for `log_ratios`.
-    level
-        Coverage.
-
-    Raises
-    ------
-    ValueError
-        If the samples are empty or not of as many worlds or policies.
+    nothing bounds the ratio then, and where there is no resolution to stand for a 0. ValueError if
+    samples are empty or not of as many worlds or policies.
     """
-    mean, lo, hi = mean_interval(log_ratios(values, baseline, resolution), level)
+    mean, lo, hi = mean_interval(log_ratios(values, baseline, resolution))
     no_value, no_baseline = ((_sample(sample) == 0.0).any() for sample in (values, baseline))
     if no_value and no_baseline:
         return Interval(math.nan, math.nan, math.nan)
@@ -244,19 +199,15 @@ def paired_log_ratio(
         lo = -math.inf
     if no_baseline and not math.isnan(hi):
         hi = math.inf
-    return Interval(math.exp(mean), math.exp(lo), _exp(hi))
+    highest = math.inf if hi > 709.0 else math.exp(hi)  # no double holds more
+    return Interval(math.exp(mean), math.exp(lo), highest)
 
 
 def halvings(count: int) -> list[tuple[IntArray, IntArray]]:
     """Return the ways to halve `count` seeds, each once: 126 for ten, none for fewer than two.
 
     Halves of an odd number differ by one. Of more than `MOST_HALVINGS` ways in lexicographic order,
-    as many evenly spaced ones are taken.
-
-    Returns
-    -------
-    list of tuple of ndarray
-        The positions of the seeds of both halves, shapes (count // 2,) and the rest.
+    as many evenly spaced ones are taken. A half are the positions of its seeds.
     """
     if count < 2:
         return []
@@ -268,36 +219,18 @@ def halvings(count: int) -> list[tuple[IntArray, IntArray]]:
     return [(part, np.setdiff1d(np.arange(count), part)) for part in halves]
 
 
-def probability_of_improvement(
-    values: npt.ArrayLike,
-    baseline: npt.ArrayLike,
-    level: float = LEVEL,
-    *,
-    resamples: int = RESAMPLES,
-    seed: int = 0,
-) -> Interval:
+def probability_of_improvement(values: npt.ArrayLike, baseline: npt.ArrayLike) -> Interval:
     """Return the probability that a value lies below one of the baseline, and its interval.
 
     Over all pairs of a value and one of the baseline, equal ones counting half (Mann and Whitney's
     statistic); both samples are resampled on their own, policies and worlds of crossed values too
-    (pigeonhole bootstrap). Where no pair is out of order the bounds
-    meet at 0 or 1: a bootstrap cannot know of values that were never seen.
-
-    Parameters
-    ----------
-    values, baseline
-        One value a seed, shapes (n,) and (m,), the values also of policies crossed with worlds,
-        shape (P, n); of measures of which less is better.
-    level
-        Coverage.
-    resamples, seed
-        Of the resampling.
-
-    Raises
-    ------
-    ValueError
-        If a sample is empty.
+    (pigeonhole bootstrap). Where no pair is out of order the bounds meet at 0 or 1: a bootstrap
+    cannot know of values that were never seen. Less is better. There is one value a seed, shapes
+    (n,) and (m,), the values also of policies crossed with worlds, shape (P, n); ValueError if a
+    sample is empty.
     """
+    from scipy.stats import bootstrap
+
     own, other = _sample(values), _sample(baseline)
     if np.isnan(own).any() or np.isnan(other).any():
         return Interval(math.nan, math.nan, math.nan)
@@ -306,12 +239,17 @@ def probability_of_improvement(
         pairs = np.expand_dims(a, -1) - np.expand_dims(b, -2)
         return ((pairs < 0.0) + 0.5 * (pairs == 0.0)).mean(axis=(-2, -1))
 
-    estimate = float(share_below(own.ravel(), other))
+    estimate, rng = float(share_below(own.ravel(), other)), np.random.default_rng(0)
     if own.ndim == 2 and len(other) > 1:
-        return Interval(estimate, *_pigeonhole(own, other, level, resamples, seed))
+        return Interval(estimate, *_pigeonhole(own, other, rng))
     if min(len(own), len(other)) < 2:
         return Interval(estimate, math.nan, math.nan)
-    return Interval(estimate, *_percentiles([own, other], share_below, level, resamples, seed))
+    options: dict[str, Any] = {"n_resamples": RESAMPLES, "method": "percentile", "rng": rng}
+    resampled = bootstrap(
+        (own, other), share_below, confidence_level=LEVEL, vectorized=True, **options
+    )
+    bounds = resampled.confidence_interval
+    return Interval(estimate, float(bounds.low), float(bounds.high))
 
 
 def effect_size(differences: npt.ArrayLike) -> float:
@@ -347,50 +285,22 @@ def _combination(rank: int, count: int, size: int) -> IntArray:
     return np.array(chosen, dtype=np.intp)
 
 
-def _percentiles(
-    samples: Sequence[npt.NDArray[np.float64]],
-    statistic: Any,
-    level: float,
-    resamples: int,
-    seed: int,
-) -> tuple[float, float]:
-    """Percentile bootstrap of a statistic of samples that are resampled on their own."""
-    from scipy.stats import bootstrap
-
-    result = bootstrap(
-        tuple(samples),
-        statistic,
-        confidence_level=level,
-        n_resamples=resamples,
-        method="percentile",
-        vectorized=True,
-        rng=np.random.default_rng(seed),
-    )
-    bounds = result.confidence_interval
-    return float(bounds.low), float(bounds.high)
-
-
 def _pigeonhole(
-    own: npt.NDArray[np.float64],
-    other: npt.NDArray[np.float64],
-    level: float,
-    resamples: int,
-    seed: int,
+    own: FloatArray, other: FloatArray, rng: np.random.Generator
 ) -> tuple[float, float]:
     """Percentile bootstrap of a share of pairs, rows and columns and baseline drawn anew."""
-    rng = np.random.default_rng(seed)
     below = (own[..., None] < other) + 0.5 * (own[..., None] == other)
     drawn = [
-        rng.multinomial(count, np.full(count, 1.0 / count), resamples) / count
+        rng.multinomial(count, np.full(count, 1.0 / count), RESAMPLES) / count
         for count in below.shape
     ]
     shares = (drawn[0] @ below.reshape(len(own), -1)).reshape(-1, *below.shape[1:])
     shares = np.einsum("bwo,bw,bo->b", shares, drawn[1], drawn[2])
-    low, high = np.quantile(shares, [0.5 - 0.5 * level, 0.5 + 0.5 * level])
+    low, high = np.quantile(shares, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL])
     return float(low), float(high)
 
 
-def _sample(values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def _sample(values: npt.ArrayLike) -> FloatArray:
     """Return values as (n,) or, of two policies or more crossed with two worlds or more, (P, W)."""
     sample = np.asarray(values, dtype=np.float64)
     if sample.ndim not in (1, 2) or not sample.size:
@@ -401,9 +311,7 @@ def _sample(values: npt.ArrayLike) -> npt.NDArray[np.float64]:
     return sample.ravel() if 1 in sample.shape else sample
 
 
-def _pair(
-    values: npt.ArrayLike, baseline: npt.ArrayLike
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def _pair(values: npt.ArrayLike, baseline: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Return both samples in one shape; a baseline of one value a world is paired with each row."""
     a, b = (np.asarray(sample, dtype=np.float64) for sample in (values, baseline))
     worlds = {sample.shape[-1] if sample.ndim else 0 for sample in (a, b)}
@@ -415,7 +323,7 @@ def _pair(
     return _sample(a), _sample(b)
 
 
-def _crossed_half_width(sample: npt.NDArray[np.float64], level: float) -> float:
+def _crossed_half_width(sample: FloatArray) -> float:
     """Half of the interval of the mean of policies crossed with worlds, shape (P, W)."""
     means = [sample.mean(axis=axis) for axis in (1, 0)]
     parts = [float(mean.var(ddof=1)) / len(mean) for mean in means]
@@ -427,10 +335,10 @@ def _crossed_half_width(sample: npt.NDArray[np.float64], level: float) -> float:
     freedom = 1.0 / sum(
         share**2 / (len(mean) - 1) for share, mean in zip(shares, means, strict=True)
     )
-    return _t_quantile(freedom, level) * math.sqrt(sum(parts))
+    return _t_quantile(freedom) * math.sqrt(sum(parts))
 
 
-def _crossed_spread(sample: npt.NDArray[np.float64]) -> float:
+def _crossed_spread(sample: FloatArray) -> float:
     """Return the standard deviation of a pair of policies crossed with worlds, by mean squares."""
     policies, worlds = sample.shape
     rows, columns = (sample.mean(axis=axis, keepdims=True) for axis in (1, 0))
@@ -440,20 +348,7 @@ def _crossed_spread(sample: npt.NDArray[np.float64]) -> float:
     return math.sqrt(float(rows.var(ddof=1)) + float(columns.var(ddof=1)) + alone)
 
 
-def _t_quantile(freedom: float, level: float) -> float:
+def _t_quantile(freedom: float) -> float:
     from scipy.special import stdtrit
 
-    if not 0.0 < level < 1.0:
-        raise ValueError(f"level = {level}: must lie in (0, 1)")
-    return float(stdtrit(freedom, 0.5 + 0.5 * level)) if freedom > 0 else math.nan
-
-
-def _standard_error(sample: npt.NDArray[np.float64]) -> float:
-    if len(sample) < 2:
-        return math.nan
-    return float(sample.std(ddof=1)) / math.sqrt(len(sample))
-
-
-def _exp(value: float) -> float:
-    """Return e^x, infinite where no double can hold it."""
-    return math.inf if value > 709.0 else math.exp(value)
+    return float(stdtrit(freedom, 0.5 + 0.5 * LEVEL))

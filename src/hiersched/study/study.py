@@ -19,15 +19,7 @@ from hiersched.study.measure import RUN_TABLES, measured_groups, table_file
 
 
 class Study:
-    """Scenario and measures of a study.
-
-    Parameters
-    ----------
-    scenario
-        What was run.
-    results
-        ``results/<scenario>``.
-    """
+    """A scenario and what was measured of it in `results`, ``results/<scenario>``."""
 
     def __init__(self, scenario: Scenario, results: Path) -> None:
         self.scenario = scenario
@@ -37,16 +29,9 @@ class Study:
     def sources(scenario: Scenario, reads: tuple[str, ...]) -> list[str]:
         """List the files of tables of measures, relative to the folder of the study.
 
-        Parameters
-        ----------
-        reads
-            Tables of `measure` (runs, windows, slots, rates, delays, episodes), ``bound`` (exact
-            optima), ``stability`` (regions of the gain study) and ``schedules`` (its gains).
-
-        Raises
-        ------
-        ValueError
-            If a table is none of these.
+        They are the tables of `measure` (runs, windows, slots, rates, delays, episodes), ``bound``
+        (exact optima), ``stability`` (regions of the gain study) and ``schedules`` (its gains);
+        ValueError for any other.
         """
         own = {
             "bound": [files.BOUND],
@@ -81,15 +66,16 @@ class Study:
 
         Columns of `measure`'s table ``runs``: `value` is a number where it reads as one.
         """
-        table = self.measures("runs")
-        order = {name: place for place, name in enumerate(experiments(self.scenario))}
-        rows = []
-        for (name, policy), own in table.groupby(["experiment", "policy"], sort=False):
-            policies = experiments(self.scenario)[str(name)].policies
-            rows.append((order[str(name)], policies.index(str(policy)), own))
-        rows.sort(key=lambda row: row[:2])
-        ordered = pd.concat([own for *_, own in rows], ignore_index=True)
-        return ordered.assign(value=[_number(value) for value in ordered["value"]])
+        runs = self.measures("runs").groupby(["experiment", "policy"], sort=False)
+        by_policy = {(str(name), str(policy)): own for (name, policy), own in runs}
+        ordered = [
+            by_policy[name, policy]
+            for name, experiment in experiments(self.scenario).items()
+            for policy in experiment.policies
+            if (name, policy) in by_policy
+        ]
+        table = pd.concat(ordered, ignore_index=True)
+        return table.assign(value=[_number(value) for value in table["value"]])
 
     @property
     def evaluation(self) -> pd.DataFrame:
@@ -111,18 +97,18 @@ class Study:
 
     @cached_property
     def training(self) -> dict[str, pd.DataFrame]:
-        """Learner -> its training, an episode a row: see `measure.training_episodes`."""
+        """Learner -> its training, an episode a row."""
         return self._episodes("training")
 
     @cached_property
     def checkpoints(self) -> dict[str, pd.DataFrame]:
-        """Learner -> its policies without noise: see `measure.checkpoint_episodes`."""
+        """Learner -> its policies without noise, a training seed and checkpoint a row."""
         return self._episodes("checkpoint")
 
     def _episodes(self, kind: str) -> dict[str, pd.DataFrame]:
         table = self.measures("episodes")
-        own = table[table["kind"] == kind]
-        found = {str(name): rows.reset_index(drop=True) for name, rows in own.groupby("group")}
+        own = table[table["kind"] == kind].groupby("group")
+        found = {str(name): rows.reset_index(drop=True) for name, rows in own}
         return {name: found[name] for name in self.scenario.learned if name in found}
 
     def robots(self, experiment: str) -> pd.DataFrame:

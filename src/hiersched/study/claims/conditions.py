@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TypeAlias
 
@@ -10,13 +10,14 @@ import pandas as pd
 
 from hiersched.experiments.points import experiments, trained_learners
 from hiersched.scenario import Scenario
-from hiersched.study.claims.verdicts import Condition, Statement
+from hiersched.study.claims.verdicts import Condition, Judged, Statement
 from hiersched.study.registry import axis_of
 from hiersched.study.study import Study
 
 COEFFICIENT, SAMPLING = "traffic.service_coefficient_mbps", "control.sampling_s"
-Measure: TypeAlias = Callable[[pd.DataFrame, str], tuple[Statement, ...]]
-Noisy: TypeAlias = Callable[[pd.DataFrame, int], tuple[Statement, ...]]
+Statements: TypeAlias = tuple[Statement, ...]
+Measure: TypeAlias = Callable[[pd.DataFrame, str], Statements]
+"""From the runs of one condition, and a policy, to statements."""
 
 
 def learners(scenario: Scenario) -> list[str]:
@@ -34,181 +35,118 @@ def first_trained(scenario: Scenario) -> str:
     return [*learners(scenario), *controls(scenario)][0]
 
 
-def learned_policies(scenario: Scenario) -> list[str]:
-    """Return the evaluated policies that are learned, the scenario's own algorithm first."""
-    return [name for name in learners(scenario) if name in scenario.evaluate.policies]
-
-
-def own_policy(scenario: Scenario) -> str:
-    """Return the policy under which claims are judged as configured: the first learned one."""
-    return next(iter(learned_policies(scenario)), scenario.learning.algorithm)
-
-
 def control_of(scenario: Scenario, learner: str) -> str | None:
     """Return the learner that learns nothing from the same start and under the same noise."""
-    own = scenario.learned[learner]
-    if own.frozen:
-        return None
-    for name in controls(scenario):
-        control = scenario.learned[name]
-        same = (control.algorithm, control.start) == (own.algorithm, own.start)
-        if same and control.seeds == own.seeds:
-            return name
-    return None
+
+    def origin(name: str) -> tuple[object, ...]:
+        learning = scenario.learned[name]
+        return learning.algorithm, learning.start, learning.seeds
+
+    alike = [name for name in controls(scenario) if origin(name) == origin(learner)]
+    return alike[0] if alike and not scenario.learned[learner].frozen else None
 
 
 def trained(
     study: Study,
-    measure: Callable[[pd.DataFrame, pd.DataFrame | None], tuple[Statement, ...]],
-    noisy: Noisy,
-) -> tuple[Condition, tuple[Condition, ...]]:
+    measure: Callable[[pd.DataFrame, pd.DataFrame | None], Statements],
+    noisy: Callable[[pd.DataFrame, int], Statements],
+) -> Judged:
     """Judge every learner by its noise-free checkpoints; the scenario's own is the base.
 
     Beside them stand, and do not count: the controls that learn nothing, without noise too, and
     what training shows of learners and controls, exploration noise included.
 
-    Parameters
-    ----------
-    study
-        Checkpoints and training of its learners are used.
-    measure
-        From the checkpoints of a learner, and of its control if there is one, to its statements.
-    noisy
-        From a training and the episodes that ran side by side in it to statements.
+    The measure gets the checkpoints of a learner, and of its control if there is one; `noisy` gets
+    a training and the number of episodes that ran side by side in it.
     """
-    scenario = study.scenario
-    idle = controls(scenario)
+    scenario, checkpoints = study.scenario, study.checkpoints
     conditions = []
     for name in learners(scenario):
         control = control_of(scenario, name)
-        beside = study.checkpoints[control] if control is not None else None
-        statements = measure(study.checkpoints[name], beside)
-        conditions.append(Condition(axis="policy", value=name, policy=name, statements=statements))
-    for name in idle:
-        statements = measure(study.checkpoints[name], None)
-        conditions.append(_shown("learns nothing", name, statements))
-    for name in (*learners(scenario), *idle):
-        block = scenario.learned[name].num_envs
-        training = study.training[name]
-        if training["episode"].max() > block:  # a training of one round says nothing
-            what = "learns nothing, with noise" if name in idle else "with noise"
-            conditions.append(_shown(what, name, noisy(training, block)))
-    return _first(conditions), tuple(conditions[1:])
+        statements = measure(checkpoints[name], None if control is None else checkpoints[control])
+        conditions.append(Condition("policy", name, name, statements))
+    for name in controls(scenario):
+        statements = measure(checkpoints[name], None)
+        conditions.append(Condition("learns nothing", name, name, statements, counts=False))
+    for name in (*learners(scenario), *controls(scenario)):
+        learning, training = scenario.learned[name], study.training[name]
+        if training["episode"].max() > learning.num_envs:  # one round says nothing
+            what = "learns nothing, with noise" if learning.frozen else "with noise"
+            statements = noisy(training, learning.num_envs)
+            conditions.append(Condition(what, name, name, statements, counts=False))
+    return _first_is_base(conditions)
 
 
-def _shown(axis: str, policy: str, statements: tuple[Statement, ...]) -> Condition:
-    """Return a condition that is shown for comparison and does not count."""
-    return Condition(axis=axis, value=policy, policy=policy, statements=statements, counts=False)
-
-
-def evaluated(
-    study: Study, measure: Measure, *, needs: str = "", beside: bool = False
-) -> tuple[Condition, tuple[Condition, ...]]:
+def evaluated(study: Study, measure: Measure, *, needs: str = "", beside: bool = False) -> Judged:
     """Judge the evaluation, then other learned policies and every point of every sweep.
 
-    Parameters
-    ----------
-    study
-        What was run.
-    measure
-        From the runs of one condition, and a policy, to statements.
-    needs
-        A policy that the measure needs besides.
-    beside
-        Whether to show the classical schedulers of the evaluation too.
+    Nothing is stated where a policy that the measure `needs` besides is missing. The classical
+    schedulers of the evaluation are shown too if they are wanted `beside`.
     """
     scenario, runs = study.scenario, study.evaluation
-    learned = learned_policies(scenario)
+    learned, own = _learned_and_own(scenario)
 
     def condition(
         axis: str, value: str, policy: str, rows: pd.DataFrame, counts: bool = True
     ) -> Condition:
         present = {policy, needs or policy} <= set(rows["policy"])
-        statements = measure(rows, policy) if present else ()
-        return Condition(
-            axis=axis, value=value, policy=policy, statements=statements, counts=counts
-        )
+        return Condition(axis, value, policy, measure(rows, policy) if present else (), counts)
 
-    own = own_policy(scenario)
-    base = condition("", "", own, runs)
-    others = [condition("policy", p, p, runs) for p in learned[1:]]
-    swept_axes = {name: ", ".join(axis.vary) for name, axis in scenario.sweeps.axes.items()}
+    others = [condition("policy", name, name, runs) for name in learned[1:]]
+    keys = {name: ", ".join(axis.vary) for name, axis in scenario.sweeps.axes.items()}
     elsewhere = pd.concat([study.sweeps, study.cells], ignore_index=True)
-    for axis, key in {**swept_axes, "cell": "users and PRBs"}.items():
-        along = elsewhere[elsewhere["axis"] == axis]
-        for value, rows in along.groupby("value", sort=False):
-            others.append(condition(key, str(value), own, rows))
+    for axis, key in {**keys, "cell": "users and PRBs"}.items():
+        along = elsewhere[elsewhere["axis"] == axis].groupby("value", sort=False)
+        others += [condition(key, str(value), own, rows) for value, rows in along]
     if beside:
-        classical = [p for p in scenario.evaluate.policies if p not in learned]
-        others += [condition("policy", p, p, runs, False) for p in classical]
-    return base, tuple(others)
+        classical = [name for name in scenario.evaluate.policies if name not in learned]
+        others += [condition("policy", name, name, runs, False) for name in classical]
+    return Judged(condition("", "", own, runs), tuple(others))
 
 
-def swept(study: Study, key: str, measure: Measure) -> tuple[Condition, tuple[Condition, ...]]:
-    """Judge a sweep under every policy that it has; the learned ones count.
+def swept(study: Study, key: str, measure: Measure) -> Judged:
+    """Judge the sweep of a key under every policy that it has; the learned ones count.
 
-    Parameters
-    ----------
-    study
-        What was run.
-    key
-        What the axis varies; a single value of it says nothing.
-    measure
-        From the runs along the axis, and a policy, to statements.
+    The measure gets the runs along the axis; a single value says nothing.
     """
-    scenario = study.scenario
-    along = study.sweeps[study.sweeps["axis"] == axis_of(scenario, key)]
-    learned = learned_policies(scenario)
-    own = own_policy(scenario)
-    enough = along["value"].nunique() > 1
-    present = list(dict.fromkeys(along["policy"]))
-    conditions = [
-        Condition(
-            axis="policy",
-            value=policy,
-            policy=policy,
-            statements=measure(along, policy) if enough and policy in present else (),
-            counts=policy in learned,
-        )
-        for policy in dict.fromkeys((own, *present))
-    ]
-    return _first(conditions), tuple(conditions[1:])
+    along = study.sweeps[study.sweeps["axis"] == axis_of(study.scenario, key)]
+    learned, own = _learned_and_own(study.scenario)
+    present = list(dict.fromkeys(along["policy"])) if along["value"].nunique() > 1 else []
+    conditions = []
+    for policy in dict.fromkeys((own, *along["policy"])):
+        statements = measure(along, policy) if policy in present else ()
+        conditions.append(Condition("policy", policy, policy, statements, policy in learned))
+    return _first_is_base(conditions)
 
 
 def by_coefficient(study: Study, measure: Measure) -> tuple[Condition, ...]:
     """Judge the own learner at both ends of the sampling interval, for every coefficient beta.
 
-    Parameters
-    ----------
-    study
-        What was run.
-    measure
-        From the runs at both ends, `value` the sampling interval, and a policy, to statements.
+    The measure gets the runs at both ends, `value` is the sampling interval.
     """
-    scenario = study.scenario
-    own = scenario.learning.algorithm
-    axis = axis_of(scenario, COEFFICIENT, SAMPLING)
-    runs = study.sweeps
+    scenario, runs = study.scenario, study.sweeps
+    own, axis = scenario.learning.algorithm, axis_of(scenario, COEFFICIENT, SAMPLING)
     along = runs[(runs["axis"] == axis) & (runs["policy"] == own)]
     if axis is None or along.empty:
         return ()
-    values = {p.value: p.values for p in experiments(scenario)[axis].points}
-    coefficient, sampling_s = (
-        pd.Series([values[str(value)][key] for value in along["value"]], index=along.index)
-        for key in (COEFFICIENT, SAMPLING)
+    points = {point.value: point.values for point in experiments(scenario)[axis].points}
+    values = [points[str(value)] for value in along["value"]]
+    along = along.assign(
+        value=[value[SAMPLING] for value in values], beta=[value[COEFFICIENT] for value in values]
     )
-    along = along.assign(value=sampling_s)
-    return tuple(
-        Condition(
-            axis=COEFFICIENT,
-            value=f"{beta:g}",
-            policy=own,
-            statements=measure(rows, own) if rows["value"].nunique() > 1 else (),
-        )
-        for beta, rows in along.groupby(coefficient, sort=False)
-    )
+    conditions = []
+    for beta, rows in along.groupby("beta", sort=False):
+        statements = measure(rows, own) if rows["value"].nunique() > 1 else ()
+        conditions.append(Condition(COEFFICIENT, f"{beta:g}", own, statements))
+    return tuple(conditions)
 
 
-def _first(conditions: Sequence[Condition]) -> Condition:
-    """Return the first condition as the base."""
-    return replace(conditions[0], axis="", value="")
+def _learned_and_own(scenario: Scenario) -> tuple[list[str], str]:
+    """Return the evaluated policies that learn, and the one that is judged as configured."""
+    learned = [name for name in learners(scenario) if name in scenario.evaluate.policies]
+    return learned, next(iter(learned), scenario.learning.algorithm)
+
+
+def _first_is_base(conditions: list[Condition]) -> Judged:
+    """Take the first condition as the scenario as configured."""
+    return Judged(replace(conditions[0], axis="", value=""), tuple(conditions[1:]))

@@ -29,13 +29,13 @@ PAIRED = (("urllc", "URLLC"), ("embb", "eMBB"))
 STRETCHES = 5
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Measured:
-    """A number over seeds: values or their logarithms, and the interval of the mean."""
+    """A number over seeds: the interval of the mean of values, or of their exponentials."""
 
     values: Sample
-    logarithms: bool
     interval: Interval
+    logarithms: bool = False
 
     def statement(self, name: str, unit: str, **claimed: float) -> Statement:
         """Return the statement that it lies within a claimed range (`above`, `below`)."""
@@ -44,17 +44,17 @@ class Measured:
             unit=unit,
             interval=self.interval,
             effect=effect_size(self.values),
-            values=_plain(self.values),
+            values=self.values,
             logarithms=self.logarithms,
             **claimed,
         )
 
 
-def mean(values: NDArray[np.float64]) -> Measured:
+def mean(values: Sample) -> Measured:
     """Measure a mean over seeds, Student's t interval."""
     if values.ndim == 2 and 1 in values.shape:
         values = values.ravel()  # a single policy, or world, is no part of the variance
-    return Measured(values=values, logarithms=False, interval=mean_interval(values))
+    return Measured(values, mean_interval(values))
 
 
 def difference(values: Sample, baseline: Sample) -> Measured:
@@ -64,31 +64,17 @@ def difference(values: Sample, baseline: Sample) -> Measured:
 
 def ratio(values: Sample, baseline: Sample, resolution: float = 0.0) -> Measured:
     """Measure the typical ratio of paired samples; see `statistics.paired_log_ratio`."""
-    return Measured(
-        values=log_ratios(values, baseline, resolution),
-        logarithms=True,
-        interval=paired_log_ratio(values, baseline, resolution=resolution),
-    )
+    interval = paired_log_ratio(values, baseline, resolution=resolution)
+    return Measured(log_ratios(values, baseline, resolution), interval, logarithms=True)
 
 
 def slope(
-    along: pd.DataFrame,
-    policy: str,
-    measure: str,
-    position: Callable[[pd.DataFrame], NDArray[np.float64]],
+    along: pd.DataFrame, policy: str, measure: str, position: Callable[[pd.DataFrame], Sample]
 ) -> Measured:
     """Measure the least-squares slope of a measure along a sweep, one slope a world.
 
-    Of a learned policy, one for each of its policies in each world.
-
-    Parameters
-    ----------
-    along
-        Runs of one axis, from `Study.sweeps`.
-    policy, measure
-        Which runs, which column.
-    position
-        Where the runs of one policy in one world lie on the axis, shape (n,).
+    Of a learned policy, one for each of its policies in each world. The runs are `along` one axis;
+    `position` says where those of one policy in one world lie on it, shape (n,).
     """
     own = along[along["policy"] == policy]
     keys = ["policy_seed", "seed"] if is_learned(own) else ["seed"]
@@ -101,43 +87,34 @@ def slope(
     return mean(sample_of(pd.DataFrame(slopes), "slope"))
 
 
-def steps(checkpoints: pd.DataFrame, measure: str) -> NDArray[np.float64]:
+def doublings(rows: pd.DataFrame) -> Sample:
+    """Return the swept value of each run in doublings, log2."""
+    values: Sample = np.log2(rows["value"].to_numpy(np.float64))
+    return values
+
+
+def tenths_of_dexterity(rows: pd.DataFrame) -> Sample:
+    """Return the measured dexterity index of each run, in tenths."""
+    return 10.0 * rows["dexterity_index"].to_numpy(np.float64)
+
+
+def steps(checkpoints: pd.DataFrame, measure: str) -> Sample:
     """Return a measure of every seed at its noise-free checkpoints, shape (seeds, checkpoints)."""
     table = checkpoints.pivot(index="seed", columns="episode", values=measure)
     return table.to_numpy(np.float64)
 
 
 def change_in_training(training: pd.DataFrame, measure: str, block: int) -> Measured:
-    """Measure the change from the first to the last fifth of training, noise included."""
-    fifths = _fifths(training, measure, block)
-    return mean(fifths[:, -1] - fifths[:, 0])
+    """Measure the change from the first to the last fifth of training, noise included.
 
-
-def _fifths(training: pd.DataFrame, measure: str, block: int) -> NDArray[np.float64]:
-    """Mean of a measure over consecutive fifths of the rounds, by seed, shape (seeds, n).
-
-    Trainings of fewer than five rounds count round by round.
+    Trainings of fewer than five rounds, of `block` episodes each, count round by round.
     """
     number = (training["episode"] - 1) // block
     rounds = int(number.max()) + 1
     stretch = number * min(STRETCHES, rounds) // rounds
     means: Any = training.groupby(["seed", stretch.rename("stretch")])[measure].mean()
-    table: NDArray[np.float64] = means.unstack("stretch").to_numpy(np.float64)
-    return table
-
-
-def doublings(rows: pd.DataFrame) -> NDArray[np.float64]:
-    """Return the swept value of each run in doublings, log2."""
-    values: NDArray[np.float64] = np.log2(rows["value"].astype(float).to_numpy())
-    return values
-
-
-def tenths_of_dexterity(
-    rows: pd.DataFrame,
-) -> NDArray[np.float64]:
-    """Return the measured dexterity index of each run, in tenths."""
-    values: NDArray[np.float64] = 10.0 * rows["dexterity_index"].to_numpy(np.float64)
-    return values
+    fifths = means.unstack("stretch").to_numpy(np.float64)
+    return mean(fifths[:, -1] - fifths[:, 0])
 
 
 def ends(along: pd.DataFrame, policy: str, measure: str) -> tuple[Sample, Sample]:
@@ -153,15 +130,3 @@ def in_the_same_worlds(
     """Return a measure of two policies in the same worlds."""
     own, other = (runs[runs["policy"] == name] for name in (policy, baseline))
     return paired(own, other, measure)
-
-
-def _plain(values: Sample) -> tuple[float, ...] | tuple[tuple[float, ...], ...]:
-    """Return values, or those of every policy in its worlds."""
-    if values.ndim == 2:
-        return tuple(tuple(row) for row in values.tolist())
-    return tuple(values.tolist())
-
-
-def percent(share: float) -> str:
-    """Return a share as text in per cent."""
-    return f"{100.0 * share:g} %"

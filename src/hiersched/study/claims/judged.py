@@ -7,32 +7,32 @@ vary more), "far less" is less than half.
 
 from __future__ import annotations
 
-import numpy as np
-import pandas as pd
-from numpy.typing import NDArray
+from collections.abc import Callable
+from dataclasses import replace
 
-from hiersched.experiments.points import BASELINE
-from hiersched.study.claims.conditions import Noisy, by_coefficient, evaluated, swept, trained
+import pandas as pd
+
+from hiersched.experiments.points import BASELINE, STUDY_PLANTS
+from hiersched.study.claims.conditions import by_coefficient, evaluated, swept, trained
 from hiersched.study.claims.effects import (
     PAIRED,
+    Sample,
     change_in_training,
     difference,
     doublings,
     ends,
     in_the_same_worlds,
     mean,
-    percent,
     ratio,
     slope,
     steps,
     tenths_of_dexterity,
 )
 from hiersched.study.claims.verdicts import Condition, Judged, Statement
-from hiersched.study.intervals import resolution
 from hiersched.study.registry import claim, has_gain_study, has_learners, varies
-from hiersched.study.samples import sample_of
+from hiersched.study.samples import resolution, sample_of
 from hiersched.study.study import Study
-from hiersched.study.tables.gains import gain_errors
+from hiersched.study.tables.gains import runs_by_method
 from hiersched.study.tables.policies import SCALE
 
 SAMPLING, REFERENCE = "control.sampling_s", "robot.reference"
@@ -40,6 +40,16 @@ COMPARABLE = 0.10
 HARDLY = 0.05
 HARDLY_QUEUE = 0.10
 FAR_LESS = 0.5
+
+
+def percent(share: float) -> str:
+    """Return a share as text in per cent."""
+    return f"{100.0 * share:g} %"
+
+
+def within(margin: float) -> dict[str, float]:
+    """Return the range of ratios that differ from 1 by less than a margin."""
+    return {"above": 1.0 - margin, "below": 1.0 + margin}
 
 
 @claim(
@@ -55,27 +65,7 @@ FAR_LESS = 0.5
 )
 def rewards_converge(study: Study) -> Judged:
     """Judge noise-free checkpoints: the rise of the rewards, and the last step."""
-
-    def measure(own: pd.DataFrame, control: pd.DataFrame | None) -> tuple[Statement, ...]:
-        statements = []
-        for part, label in PAIRED:
-            reward = steps(own, f"{part}_reward")
-            rise, late = reward[:, -1] - reward[:, 0], reward[:, -1] - reward[:, -2]
-            statements += [
-                mean(rise).statement(f"{label} reward, last − first", "1", above=0.0),
-                mean(late - COMPARABLE * rise).statement(
-                    f"{label} reward, last step − {percent(COMPARABLE)} of that", "1", below=0.0
-                ),
-                mean(late + COMPARABLE * rise).statement(
-                    f"{label} reward, last step + {percent(COMPARABLE)} of that", "1", above=0.0
-                ),
-            ]
-            statements += _beyond(rise, control, f"{part}_reward", f"{label} reward", above=0.0)
-        return tuple(statements)
-
-    noisy = _fifths_apart("reward", "reward", "1", above=0.0)
-    base, others = trained(study, measure, noisy)
-    return Judged(base, others)
+    return _changes(study, "reward", "reward", "1", _last_step, above=0.0)
 
 
 @claim(
@@ -91,27 +81,35 @@ def rewards_converge(study: Study) -> Judged:
 )
 def queues_shrink(study: Study) -> Judged:
     """Judge noise-free checkpoints: the fall of the queues."""
+    return _changes(study, "backlog_packets", "queue", "packets", below=0.0)
 
-    def measure(own: pd.DataFrame, control: pd.DataFrame | None) -> tuple[Statement, ...]:
+
+def _changes(
+    study: Study,
+    measure: str,
+    name: str,
+    unit: str,
+    more: Callable[[Sample, str], list[Statement]] = lambda values, label: [],
+    **claimed: float,
+) -> Judged:
+    """Judge how much a measure of both slices changes in training, and beyond the control's.
+
+    `more` gives further statements from the measure at the checkpoints, shape (seeds, n).
+    """
+
+    def checkpoints(own: pd.DataFrame, control: pd.DataFrame | None) -> tuple[Statement, ...]:
         statements = []
         for part, label in PAIRED:
-            backlog = steps(own, f"{part}_backlog_packets")
-            fall = backlog[:, -1] - backlog[:, 0]
-            statements.append(
-                mean(fall).statement(f"{label} queue, last − first", "packets", below=0.0)
-            )
-            statements += _beyond(
-                fall, control, f"{part}_backlog_packets", f"{label} queue", "packets", below=0.0
-            )
+            values = steps(own, f"{part}_{measure}")
+            change, what = values[:, -1] - values[:, 0], f"{label} {name}"
+            statements.append(mean(change).statement(f"{what}, last − first", unit, **claimed))
+            statements += more(values, what)
+            if control is not None:
+                idle = steps(control, f"{part}_{measure}")
+                beyond = mean(change - (idle[:, -1] - idle[:, 0]))
+                text = f"{what}, that − the same without learning"
+                statements.append(beyond.statement(text, unit, **claimed))
         return tuple(statements)
-
-    noisy = _fifths_apart("backlog_packets", "queue", "packets", below=0.0)
-    base, others = trained(study, measure, noisy)
-    return Judged(base, others)
-
-
-def _fifths_apart(measure: str, name: str, unit: str, **claimed: float) -> Noisy:
-    """Return what states how much a measure of both slices changes in a training with its noise."""
 
     def noisy(training: pd.DataFrame, block: int) -> tuple[Statement, ...]:
         return tuple(
@@ -121,23 +119,17 @@ def _fifths_apart(measure: str, name: str, unit: str, **claimed: float) -> Noisy
             for part, label in PAIRED
         )
 
-    return noisy
+    return trained(study, checkpoints, noisy)
 
 
-def _beyond(
-    change: NDArray[np.float64],
-    control: pd.DataFrame | None,
-    measure: str,
-    label: str,
-    unit: str = "1",
-    **claimed: float,
-) -> list[Statement]:
-    """Return the statement that a change goes beyond that of the control, if there is one."""
-    if control is None:
-        return []
-    idle = steps(control, measure)
-    beyond = change - (idle[:, -1] - idle[:, 0])
-    return [mean(beyond).statement(f"{label}, that − the same without learning", unit, **claimed)]
+def _last_step(values: Sample, what: str) -> list[Statement]:
+    """State that the step to the last checkpoint is small beside the whole rise."""
+    rise, late = values[:, -1] - values[:, 0], values[:, -1] - values[:, -2]
+    part = f"{percent(COMPARABLE)} of that"
+    return [
+        mean(late - COMPARABLE * rise).statement(f"{what}, last step − {part}", "1", below=0.0),
+        mean(late + COMPARABLE * rise).statement(f"{what}, last step + {part}", "1", above=0.0),
+    ]
 
 
 @claim(
@@ -156,11 +148,10 @@ def embb_rates_are_higher(study: Study) -> Judged:
     def measure(runs: pd.DataFrame, policy: str) -> tuple[Statement, ...]:
         own = runs[runs["policy"] == policy]
         embb, urllc = (sample_of(own, f"{part}_rate_mbps") for part in ("embb", "urllc"))
-        sample = difference(embb, urllc)
-        return (sample.statement("eMBB rate − URLLC rate", "Mbit/s", above=0.0),)
+        apart = difference(embb, urllc)
+        return (apart.statement("eMBB rate − URLLC rate", "Mbit/s", above=0.0),)
 
-    base, others = evaluated(study, measure, beside=True)
-    return Judged(base, others)
+    return evaluated(study, measure, beside=True)
 
 
 @claim(
@@ -174,17 +165,7 @@ def embb_rates_are_higher(study: Study) -> Judged:
 )
 def rates_rise_with_scale(study: Study) -> Judged:
     """Judge the slope of the rates against the scale."""
-
-    def measure(along: pd.DataFrame, policy: str) -> tuple[Statement, ...]:
-        return tuple(
-            slope(along, policy, f"{part}_rate_mbps", doublings).statement(
-                f"{label} rate per doubling", "Mbit/s", above=0.0
-            )
-            for part, label in PAIRED
-        )
-
-    base, others = swept(study, SCALE, measure)
-    return Judged(base, others)
+    return _slopes_of_rates(study, SCALE, doublings, "doubling", above=0.0)
 
 
 @claim(
@@ -203,18 +184,13 @@ def queues_over_scale(study: Study) -> Judged:
     def measure(along: pd.DataFrame, policy: str) -> tuple[Statement, ...]:
         rise = slope(along, policy, "embb_backlog_packets", doublings)
         low, high = ends(along, policy, "urllc_backlog_packets")
+        name = "URLLC queue, greatest scale / least"
         return (
             rise.statement("eMBB queue per doubling", "packets", above=0.0),
-            ratio(high, low).statement(
-                "URLLC queue, greatest scale / least",
-                "1",
-                above=1.0 - HARDLY_QUEUE,
-                below=1.0 + HARDLY_QUEUE,
-            ),
+            ratio(high, low).statement(name, "1", **within(HARDLY_QUEUE)),
         )
 
-    base, others = swept(study, SCALE, measure)
-    return Judged(base, others)
+    return swept(study, SCALE, measure)
 
 
 @claim(
@@ -234,19 +210,12 @@ def rates_over_sampling(study: Study) -> Judged:
         statements = []
         for part, label in PAIRED:
             low, high = ends(along, policy, f"{part}_rate_mbps")
-            statements.append(
-                ratio(high, low).statement(
-                    f"{label} rate, longest interval / shortest",
-                    "1",
-                    above=1.0 - HARDLY,
-                    below=1.0 + HARDLY,
-                )
-            )
+            name = f"{label} rate, longest interval / shortest"
+            statements.append(ratio(high, low).statement(name, "1", **within(HARDLY)))
         return tuple(statements)
 
     base, others = swept(study, SAMPLING, measure)
-    others += by_coefficient(study, measure)
-    return Judged(base, others)
+    return Judged(base, others + by_coefficient(study, measure))
 
 
 @claim(
@@ -261,17 +230,23 @@ def rates_over_sampling(study: Study) -> Judged:
 )
 def rates_over_dexterity(study: Study) -> Judged:
     """Judge the slope of the rates against the measured index."""
+    return _slopes_of_rates(study, REFERENCE, tenths_of_dexterity, "0.1 DI", below=0.0)
+
+
+def _slopes_of_rates(
+    study: Study, key: str, position: Callable[[pd.DataFrame], Sample], step: str, **claimed: float
+) -> Judged:
+    """Judge the slopes of both slices' rates along the axis of a key, per `step` of `position`."""
 
     def measure(along: pd.DataFrame, policy: str) -> tuple[Statement, ...]:
         return tuple(
-            slope(along, policy, f"{part}_rate_mbps", tenths_of_dexterity).statement(
-                f"{label} rate per 0.1 DI", "Mbit/s", below=0.0
+            slope(along, policy, f"{part}_rate_mbps", position).statement(
+                f"{label} rate per {step}", "Mbit/s", **claimed
             )
             for part, label in PAIRED
         )
 
-    base, others = swept(study, REFERENCE, measure)
-    return Judged(base, others)
+    return swept(study, key, measure)
 
 
 @claim(
@@ -286,27 +261,19 @@ def rates_over_dexterity(study: Study) -> Judged:
 )
 def adjusted_gains_help(study: Study) -> Judged:
     """Judge the ratio of errors in every violated slot, method by method."""
-    conditions = []
-    for (method, plant), group in gain_errors(study).groupby(["method", "plant"], sort=False):
-        statements = []
-        for slot, rows in group[group["violated"]].groupby("slot"):
-            errors = rows.pivot(index="seed", columns="gain", values="error_cm")
-            statements.append(
-                ratio(errors["adjusted"].to_numpy(), errors["nominal"].to_numpy()).statement(
-                    f"tracking error, adjusted / nominal, slot {slot}", "1", below=1.0
-                )
-            )
-        conditions.append(
-            Condition(
-                axis="control.method, control.loop",
-                value=f"{method}, {plant}",
-                policy="none",
-                statements=tuple(statements),
-            )
-        )
-    first = conditions[0]
-    base = Condition(axis="", value=first.value, policy="none", statements=first.statements)
-    return Judged(base, tuple(conditions[1:]))
+    statements: dict[str, list[Statement]] = {}
+    for method, slot, runs in runs_by_method(study):
+        if slot in study.scenario.gain_study.violation_windows:
+            errors = runs.pivot(index="seed", columns="gain", values="error_cm")
+            over = ratio(errors["adjusted"].to_numpy(), errors["nominal"].to_numpy())
+            name = f"tracking error, adjusted / nominal, slot {slot}"
+            own = statements.setdefault(f"{method}, {STUDY_PLANTS[method]}", [])
+            own.append(over.statement(name, "1", below=1.0))
+    base, *others = (
+        Condition("control.method, control.loop", value, "none", tuple(own))
+        for value, own in statements.items()
+    )
+    return Judged(replace(base, axis=""), tuple(others))
 
 
 @claim(
@@ -322,15 +289,10 @@ def rates_comparable(study: Study) -> Judged:
     """Judge the ratio of the URLLC rates in the same worlds."""
 
     def measure(runs: pd.DataFrame, policy: str) -> tuple[Statement, ...]:
-        own, other = in_the_same_worlds(runs, policy, BASELINE, "urllc_rate_mbps")
-        return (
-            ratio(own, other).statement(
-                "URLLC rate / PF's", "1", above=1.0 - COMPARABLE, below=1.0 + COMPARABLE
-            ),
-        )
+        over = ratio(*in_the_same_worlds(runs, policy, BASELINE, "urllc_rate_mbps"))
+        return (over.statement("URLLC rate / PF's", "1", **within(COMPARABLE)),)
 
-    base, others = evaluated(study, measure, needs=BASELINE)
-    return Judged(base, others)
+    return evaluated(study, measure, needs=BASELINE)
 
 
 @claim(
@@ -343,12 +305,11 @@ def rates_comparable(study: Study) -> Judged:
 )
 def fewer_violations(study: Study) -> Judged:
     """Judge the ratio of the late shares in the same worlds."""
-    scenario = study.scenario
+    late = "urllc_late_share"
 
     def measure(runs: pd.DataFrame, policy: str) -> tuple[Statement, ...]:
-        own, other = in_the_same_worlds(runs, policy, BASELINE, "urllc_late_share")
-        least = resolution("urllc_late_share", runs[runs["policy"] == policy], scenario)
+        own, other = in_the_same_worlds(runs, policy, BASELINE, late)
+        least = resolution(late, runs[runs["policy"] == policy], study.scenario)
         return (ratio(own, other, least).statement("late share / PF's", "1", below=FAR_LESS),)
 
-    base, others = evaluated(study, measure, needs=BASELINE)
-    return Judged(base, others)
+    return evaluated(study, measure, needs=BASELINE)

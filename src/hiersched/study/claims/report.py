@@ -70,10 +70,12 @@ def claims_markdown(claims: Sequence[JsonObject], scenario: Scenario) -> str:
     ]
     for claim in claims:
         note = f". {claim['not_swept']}" if claim["not_swept"] else ""
+        flips = "; ".join(claim["flipped_by"]) or "nothing that was run"
+        share = claim["halvings_that_agree"]
+        agreeing = "–" if share is None else f"{100.0 * share:.0f} %"
         lines.append(
             f"| {claim['number']} | {claim['claim']} ({claim['reference']}) | {claim['measured']} "
-            f"| {_numbers(claim['base'])} | **{claim['verdict']}** "
-            f"| {_agreeing(claim['halvings_that_agree'])} | {_flips(claim)}{note} |"
+            f"| {_numbers(claim['base'])} | **{claim['verdict']}** | {agreeing} | {flips}{note} |"
         )
     lines += [
         "",
@@ -85,10 +87,9 @@ def claims_markdown(claims: Sequence[JsonObject], scenario: Scenario) -> str:
     for claim in claims:
         counted = [claim["base"], *claim["sensitivity"]]
         for condition in (*counted, *claim["beside"]):
-            outcome = condition["outcome"]
-            shown = outcome if condition in counted else f"({outcome})"
+            outcome = condition["outcome"] if condition in counted else f"({condition['outcome']})"
             lines.append(
-                f"| {claim['number']} | {_label(condition)} | {condition['policy']} | {shown} "
+                f"| {claim['number']} | {_label(condition)} | {condition['policy']} | {outcome} "
                 f"| {_numbers(condition)} |"
             )
     return "\n".join(lines) + "\n"
@@ -97,10 +98,7 @@ def claims_markdown(claims: Sequence[JsonObject], scenario: Scenario) -> str:
 def insert_table(text: str, claims_json: str) -> str:
     """Return a text with the table of verdicts between its two marks, from ``claims.json``.
 
-    Raises
-    ------
-    ValueError
-        If the lines `BEGIN` and `END` are not there once each.
+    ValueError if the lines `BEGIN` and `END` are not there once each.
     """
     if text.count(BEGIN) != 1 or text.count(END) != 1:
         raise ValueError(f"the text must have the lines {BEGIN} and {END} once each")
@@ -113,14 +111,6 @@ def insert_table(text: str, claims_json: str) -> str:
         )
     before, rest = text.split(BEGIN)
     return "\n".join([before + BEGIN, *lines, END + rest.split(END)[1]])
-
-
-def _flips(claim: JsonObject) -> str:
-    return "; ".join(claim["flipped_by"]) or "nothing that was run"
-
-
-def _agreeing(share: float | None) -> str:
-    return "–" if share is None else f"{100.0 * share:.0f} %"
 
 
 def _condition(condition: Condition) -> JsonObject:
@@ -160,9 +150,8 @@ def _label(condition: JsonObject) -> str:
 
 
 def _numbers(condition: JsonObject) -> str:
-    return "; ".join(map(_number, condition["statements"]))
-
-
-def _number(statement: JsonObject) -> str:
-    effect = statement["effect_size"]
-    return f"{statement['text']}" + ("" if effect is None else f", *d* = {effect:.2g}")
+    numbers = []
+    for statement in condition["statements"]:
+        effect = statement["effect_size"]
+        numbers.append(statement["text"] + ("" if effect is None else f", *d* = {effect:.2g}"))
+    return "; ".join(numbers)

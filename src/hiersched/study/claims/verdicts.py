@@ -6,8 +6,7 @@ The rule was fixed before the numbers were looked at, and is written out in ever
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -40,8 +39,8 @@ class Statement:
     """A number, its interval and the open range that the claim puts it into.
 
     `effect` is the standardised effect: mean over standard deviation of `values`, whose mean is the
-    estimate: the numbers or paired differences themselves, or, of ratios, their `logarithms`. There
-    is one a seed, or, of trained policies in all worlds, one tuple a training seed.
+    estimate: the numbers or paired differences themselves, or, of ratios, their `logarithms`, shape
+    (seeds,) or, of trained policies in all worlds, (training seeds, worlds).
     """
 
     name: str
@@ -50,7 +49,7 @@ class Statement:
     above: float = -math.inf
     below: float = math.inf
     effect: float
-    values: tuple[float, ...] | tuple[tuple[float, ...], ...] = ()
+    values: NDArray[np.float64] = field(default_factory=lambda: np.empty(0))
     logarithms: bool = False
 
     @property
@@ -59,25 +58,22 @@ class Statement:
         return len(self.values)
 
     def claimed_by(self, seeds: NDArray[np.intp]) -> bool:
-        """Whether the estimate from some of the seeds alone lies within the claimed range.
-
-        Of trained policies these are training seeds, each in all worlds.
-        """
+        """Whether the estimate from some of the seeds alone lies within the claimed range."""
         estimate = float(np.mean(np.asarray(self.values)[seeds]))
         return self.above < (math.exp(estimate) if self.logarithms else estimate) < self.below
 
     @property
     def outcome(self) -> Outcome:
         """Whether the interval lies within the claimed range, outside it, or across its ends."""
-        mean, lo, hi = self.interval
-        if not (math.isfinite(mean) and math.isfinite(lo) and math.isfinite(hi)):
+        _, lo, hi = self.interval
+        if not all(map(math.isfinite, self.interval)):
             return "open"
         if self.above < lo and hi < self.below:
             return "holds"
         return "contradicted" if hi <= self.above or lo >= self.below else "open"
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class Condition:
     """A claim under one condition: which policy, and which key has which value.
 
@@ -117,27 +113,6 @@ class Condition:
         return sum(claimed(a) == claimed(b) == whole for a, b in ways) / len(ways)
 
 
-def verdict_of(base: Condition, others: Sequence[Condition]) -> Verdict:
-    """Return the verdict by `RULE`; without any statement there is none."""
-    if not base.statements:
-        return "not judged"
-    if base.agreement < AGREEING:
-        return "depends"
-    outcomes = [condition.outcome for condition in others if condition.counts]
-    if base.outcome == "holds":
-        return "depends" if "contradicted" in outcomes else "reproduced"
-    return "depends" if "holds" in outcomes else "not reproduced"
-
-
-def flipping(base: Condition, others: Sequence[Condition]) -> list[Condition]:
-    """Return the sensitivity runs that flip a claim: contradicted where it holds, or the reverse.
-
-    Runs that are merely open, with an interval too wide to say, flip nothing.
-    """
-    wanted = "contradicted" if base.outcome == "holds" else "holds"
-    return [c for c in others if c.counts and c.outcome == wanted]
-
-
 class Judged(NamedTuple):
     """What came out of a claim: as configured, and under every other condition."""
 
@@ -146,10 +121,18 @@ class Judged(NamedTuple):
 
     @property
     def verdict(self) -> Verdict:
-        """By `RULE`."""
-        return verdict_of(self.base, self.others)
+        """By `RULE`; without any statement there is none."""
+        if not self.base.statements:
+            return "not judged"
+        if self.base.agreement < AGREEING or self.flipped_by:
+            return "depends"
+        return "reproduced" if self.base.outcome == "holds" else "not reproduced"
 
     @property
     def flipped_by(self) -> list[Condition]:
-        """Sensitivity runs that flip the claim."""
-        return flipping(self.base, self.others)
+        """Sensitivity runs that flip the claim: contradicted where it holds, or the reverse.
+
+        Runs that are merely open, with an interval too wide to say, flip nothing.
+        """
+        wanted = "contradicted" if self.base.outcome == "holds" else "holds"
+        return [c for c in self.others if c.counts and c.outcome == wanted]

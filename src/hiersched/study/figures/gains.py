@@ -16,17 +16,7 @@ from numpy.typing import NDArray
 
 from hiersched.experiments.points import STUDY_PLANTS
 from hiersched.policies.registry import Look
-from hiersched.study.fifo import FloatArray
-from hiersched.study.figures.style import (
-    GAIN_METHODS,
-    GREY,
-    PAPER_COLOR,
-    caption,
-    draw_series,
-    log_ticks,
-    new_figure,
-    shared_legend,
-)
+from hiersched.study.figures import style
 from hiersched.study.metrics import OFF_TRACK_CM
 from hiersched.study.registry import figure, has_gain_study
 from hiersched.study.statistics import mean_interval
@@ -40,93 +30,84 @@ from hiersched.study.tables.gains import (
     sweeps_table,
 )
 
-_PAIR = (
-    ("nominal_cm", GAIN_METHODS["nominal"]),
-    ("adjusted_cm", Look("adjusted gain", "#0072B2", "-", "o")),
-)
+_ADJUSTED = Look("adjusted gain", "#0072B2", "-", "o")
 _SPREAD = 0.13
 """Distance between the methods' points at one slot."""
+_VIOLATED: dict[str, Any] = {"color": "#dddddd", "zorder": 0, "linewidth": 0}
+"""How spans of violated delay are shaded."""
 
 
 @figure(
     "figX_gain",
-    title="Table II as a figure: tracking error in the windows of violated delay, nominal "
-    "against adjusted gain, mean and 95 % interval over seeds, with the paper's ratios as "
-    "stars.",
+    title="Table II as a figure: tracking error in the windows of violated delay, nominal against "
+    "adjusted gain, mean and 95 % interval over seeds, with the paper's ratios as stars.",
     reads=("windows",),
     when=has_gain_study,
 )
 def draw_gain(study: Study) -> Figure:
     """Draw the tracking error of every window, and adjusted over nominal where delays violate."""
     scenario, gains = study.scenario, gain_table(study)
-    figure, (left, right) = new_figure(width_ratios=[1.5, 1.0])
+    figure, (left, right) = style.new_figure(width_ratios=[1.5, 1.0])
     method, plant = str(gains["method"].iloc[0]), str(gains["plant"].iloc[0])
     own = gains[gains["method"] == method]
-    for column, look in _PAIR:
-        bounds = own[f"{column}_lo"], own[f"{column}_hi"]
-        draw_series(left, own["slot"], own[column], *bounds, look)
-    for slot in scenario.gain_study.violation_windows:
-        left.axvspan(slot - 0.5, slot + 0.5, color="#dddddd", zorder=0, linewidth=0)
+    style.draw_series(left, own["slot"], own, "nominal_cm", style.GAIN_METHODS["nominal"])
+    style.draw_series(left, own["slot"], own, "adjusted_cm", _ADJUSTED)
+    gain_study, seeds = scenario.gain_study, len(scenario.gain_study.seeds)
+    for slot in gain_study.violation_windows:
+        left.axvspan(slot - 0.5, slot + 0.5, **_VIOLATED)
     left.set_ylim(bottom=0.0)
-    left.set_xlim(0.3, scenario.gain_study.num_windows + 0.7)
-    left.set_title(f"(a) tracking error, {plant} plant, {GAIN_METHODS[method].label} gains")
-    left.set_xticks([1, *range(5, scenario.gain_study.num_windows + 1, 5)])
-    left.set_xlabel(f"time slot (window of {scenario.robot.window_s:g} s)")
-    left.set_ylabel("RMS over the window [cm]")
-    shared_legend(figure, left)
+    left.set_xticks([1, *range(5, gain_study.num_windows + 1, 5)])
+    left.set_title(f"(a) tracking error, {plant} plant, {style.GAIN_METHODS[method].label} gains")
+    xlabel = f"time slot (window of {scenario.robot.window_s:g} s)"
+    limits = 0.3, gain_study.num_windows + 0.7
+    left.set(xlabel=xlabel, ylabel="RMS over the window [cm]", xlim=limits)
+    style.shared_legend(figure, left)
     violated = gains[gains["violated"]]
     slots = sorted(violated["slot"].unique())
-    groups = list(violated.groupby("method", sort=False))
+    places = {slot: place for place, slot in enumerate(slots)}
+    groups = violated.groupby("method", sort=False)
     for number, (name, group) in enumerate(groups):
-        look = GAIN_METHODS[str(name)]._replace(dashes="none")
-        shift = _SPREAD * (number - 0.5 * (len(groups) - 1))
-        x = [slots.index(slot) + shift for slot in group["slot"]]
-        bounds = group["ratio_lo"], group["ratio_hi"]
-        label = look.label if group["plant"].iloc[0] == plant else f"{look.label}, split plant"
-        draw_series(right, x, group["ratio"], *bounds, look, label=label)
+        look = style.GAIN_METHODS[str(name)]._replace(dashes="none")
+        x = group["slot"].map(places) + _SPREAD * (number - 0.5 * (groups.ngroups - 1))
+        if group["plant"].iloc[0] != plant:
+            look = look._replace(label=f"{look.label}, split plant")
+        style.draw_series(right, x, group, "ratio", look)
     paper = violated[violated["method"] == method]
-    right.plot(
-        [slots.index(slot) for slot in paper["slot"]],
-        paper["paper_ratio"],
-        linestyle="none",
-        marker="*",
-        markersize=9,
-        color=PAPER_COLOR,
-        label="paper",
-        zorder=4,
-    )
-    right.axhline(1.0, color="#5f5f5f", linewidth=0.9)
+    star: dict[str, Any] = {"marker": "*", "markersize": 9, "color": style.PAPER_COLOR, "zorder": 4}
+    x = paper["slot"].map(places)
+    right.plot(x, paper["paper_ratio"], linestyle="none", label="paper", **star)
+    _ratio_axis(right, violated)
     right.set_xticks(range(len(slots)), [str(slot) for slot in slots])
     right.set_xlim(-0.5, len(slots) - 0.5)
-    top = float(violated["ratio_hi"].replace(np.inf, np.nan).max())
-    right.set_ylim(0.0, 1.2 if np.isnan(top) else max(1.2, 1.05 * top))
     lowest, highest = paper["ratio"].min(), paper["ratio"].max()
-    right.set_title(f"(b) all methods; {GAIN_METHODS[method].label}: {lowest:.2f} to {highest:.2f}")
-    right.set_xlabel("time slot of violated delay")
-    right.set_ylabel("error, adjusted / nominal [1]")
-    right.legend(
-        ncols=2,
-        loc="lower left",
-        fontsize=6.2,
-        handletextpad=0.3,
-        columnspacing=0.6,
-        handlelength=1.6,
-        borderaxespad=0.0,
+    right.set_title(
+        f"(b) all methods; {style.GAIN_METHODS[method].label}: {lowest:.2f} to {highest:.2f}"
     )
-    caption(
+    right.set_xlabel("time slot of violated delay")
+    narrow: dict[str, Any] = {"handletextpad": 0.3, "columnspacing": 0.6, "handlelength": 1.6}
+    right.legend(ncols=2, loc="lower left", fontsize=6.2, borderaxespad=0.0, **narrow)
+    style.caption(
         figure,
-        f"Mean over robots and {len(scenario.gain_study.seeds)} seeds; bars: 95 % intervals, "
+        f"Mean over robots and {seeds} seeds; bars: 95 % intervals, "
         "Student t, in (b) of the logarithm. Grey: violated delay. Each gain follows the delay. "
         f"Stars: the paper's Table II.{_missing_bars(violated)}",
     )
     return figure
 
 
+def _ratio_axis(axes: Axes, drawn: pd.DataFrame) -> None:
+    """Make an axis of ratios that starts at 0, holds every finite bound and marks 1."""
+    top = float(drawn["ratio_hi"].replace(np.inf, np.nan).max())
+    axes.axhline(1.0, color=style.GREY, linewidth=0.9)
+    axes.set_ylim(0.0, 1.2 if np.isnan(top) else max(1.2, 1.05 * top))
+    axes.set_ylabel("error, adjusted / nominal [1]")
+
+
 def _missing_bars(violated: pd.DataFrame) -> str:
     """Say why points in (b) have no bar, where some have none."""
     width = violated["ratio_hi"] - violated["ratio_lo"]
     equal = violated["method"][(violated["ratio"] == 1.0) & (width < 1e-9)].unique()
-    names = ", ".join(GAIN_METHODS[method].label for method in equal)
+    names = ", ".join(style.GAIN_METHODS[method].label for method in equal)
     return f" No bar ({names}): both gains give the same errors." if names else ""
 
 
@@ -146,7 +127,7 @@ _LEAST_SPAN = 1.25
 def draw_gain_grid(study: Study) -> Figure:
     """Draw the ratio of errors over the grid, and the nominal loop's own error."""
     scenario, grid = study.scenario, grid_table(study)
-    figure, (left, right) = new_figure(height_in=3.4, width_ratios=[1.7, 1.0])
+    figure, (left, right) = style.new_figure(height_in=3.4, width_ratios=[1.7, 1.0])
     weights = list(dict.fromkeys(grid["weight"]))
     delays = list(dict.fromkeys(grid["delay_s"]))
     cells = grid.set_index(["weight", "delay_s"]).loc[[(q, d) for q in weights for d in delays]]
@@ -157,19 +138,25 @@ def draw_gain_grid(study: Study) -> Figure:
     ratios = left.imshow(ratio, cmap="PuOr", norm=LogNorm(1.0 / span, span), **_SHOWN)
     errors = right.imshow(error, cmap="Greys", vmin=0.0, vmax=2.0 * error.max(), **_SHOWN)
     for place, cell in zip(np.ndindex(*shape), cells.to_dict("records"), strict=True):
-        _mark_effect(left, place, str(cell["effect"]), _ratio_text(cell), _ink(ratios, place))
-        _write(right, place, _error_text(cell), _ink(errors, place))
+        _write_ratio(left, place, cell, _ink(ratios, place))
+        off = cell["nominal_off_track_share"]
+        text = f"{cell['nominal_cm']:.2f}" + (f"\n{100.0 * off:.0f} % off" if off > 0.0 else "")
+        _write(right, place, text, _ink(errors, place))
     for axes in (left, right):
-        _label_axes(axes, weights, delays)
+        axes.grid(False)
+        axes.set_xticks(range(len(delays)), [f"{1e3 * delay:g}" for delay in delays])
+        axes.set_yticks(range(len(weights)), [f"{weight:g}" for weight in weights])
+        axes.tick_params(length=0)
+        axes.set(xlabel="delay in violated slots [ms]", ylabel="weight q [1]")
     left.set_title("(a) error, adjusted / nominal [1]")
     right.set_title("(b) nominal gain: error [cm]")
     bar = figure.colorbar(ratios, ax=left, shrink=0.9, pad=0.02)
     bar.set_ticks([1.0 / span, 1.0, span], labels=[f"{t:.2f}" for t in (1.0 / span, 1.0, span)])
     bar.minorticks_off()
     control, own = scenario.control, scenario.gain_study
-    caption(
+    style.caption(
         figure,
-        f"{GAIN_METHODS[control.method].label} gains, {scenario.plant_name} plant, h = "
+        f"{style.GAIN_METHODS[control.method].label} gains, {scenario.plant_name} plant, h = "
         f"{1e3 * control.sampling_s:g} ms. Means over {own.sweep_robots} robots and "
         f"{len(own.seeds)} seeds in windows of constant violated delay, with 95 % "
         "intervals. Bold: the interval excludes 1. Hatched: the nominal gain stays in force, the "
@@ -178,7 +165,7 @@ def draw_gain_grid(study: Study) -> Figure:
     return figure
 
 
-def _span(ratio: FloatArray) -> float:
+def _span(ratio: NDArray[np.float64]) -> float:
     """Return s so that the colours go from 1/s to s and hold every ratio."""
     usable = ratio[np.isfinite(ratio) & (ratio > 0.0)]
     return float(np.exp(np.abs(np.log(usable)).max(initial=np.log(_LEAST_SPAN))))
@@ -191,48 +178,26 @@ def _ink(image: AxesImage, place: tuple[int, ...]) -> str:
     return "black" if 0.3 * red + 0.59 * green + 0.11 * blue > 0.5 else "white"
 
 
-def _label_axes(axes: Axes, weights: list[float], delays: list[float]) -> None:
-    axes.grid(False)
-    axes.set_xticks(range(len(delays)), [f"{1e3 * delay:g}" for delay in delays])
-    axes.set_yticks(range(len(weights)), [f"{weight:g}" for weight in weights])
-    axes.tick_params(length=0)
-    axes.set_xlabel("delay in violated slots [ms]")
-    axes.set_ylabel("weight q [1]")
-
-
 def _write(axes: Axes, place: tuple[int, ...], text: str, ink: str, **options: Any) -> None:
     options |= {"ha": "center", "va": "center", "fontsize": 6.5, "linespacing": 1.3}
     axes.text(place[1], place[0], text, color=ink, **options)
 
 
-def _mark_effect(axes: Axes, place: tuple[int, ...], effect: str, text: str, ink: str) -> None:
+def _write_ratio(axes: Axes, place: tuple[int, ...], cell: dict[Hashable, Any], ink: str) -> None:
     """Write a ratio into its cell: bold where it differs from 1; hatched where gains are equal."""
-    if effect == "same gain":
+    if cell["effect"] == "same gain":
         corner = place[1] - 0.5, place[0] - 0.5
-        look: dict[str, Any] = {
-            "facecolor": "none",
-            "edgecolor": "#bbbbbb",
-            "hatch": "////",
-            "linewidth": 0.0,
-        }
-        axes.add_patch(Rectangle(corner, 1.0, 1.0, **look))
+        hatch: dict[str, Any] = {"edgecolor": "#bbbbbb", "hatch": "////", "linewidth": 0.0}
+        axes.add_patch(Rectangle(corner, 1.0, 1.0, facecolor="none", **hatch))
         _write(axes, place, "1", ink, bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0})
-    else:
-        weight = "bold" if effect in ("helps", "hurts") else "normal"
-        _write(axes, place, text, ink, fontweight=weight)
-
-
-def _ratio_text(cell: dict[Hashable, Any]) -> str:
-    lo, hi = cell["ratio_lo"], cell["ratio_hi"]
-    if not (np.isfinite(lo) and np.isfinite(hi)):
-        return f"{cell['ratio']:.2f}\nunbounded"
+        return
+    ratio, lo, hi = (cell[f"ratio{end}"] for end in ("", "_lo", "_hi"))
     digits = 2 if hi - lo >= 0.02 else 3
-    return f"{cell['ratio']:.{digits}f}\n{lo:.{digits}f}–{hi:.{digits}f}"
-
-
-def _error_text(cell: dict[Hashable, Any]) -> str:
-    off = cell["nominal_off_track_share"]
-    return f"{cell['nominal_cm']:.2f}" + (f"\n{100.0 * off:.0f} % off" if off > 0.0 else "")
+    text = f"{ratio:.{digits}f}\n{lo:.{digits}f}–{hi:.{digits}f}"
+    if not (np.isfinite(lo) and np.isfinite(hi)):
+        text = f"{ratio:.2f}\nunbounded"
+    weight = "bold" if cell["effect"] in ("helps", "hurts") else "normal"
+    _write(axes, place, text, ink, fontweight=weight)
 
 
 def _trouble(grid: pd.DataFrame) -> str:
@@ -270,32 +235,33 @@ _SHIFT = 0.009
 def draw_gain_sweeps(study: Study) -> Figure:
     """Draw first unstable delay and ratio over the sampling interval, ratio over the noise."""
     scenario, sweeps = study.scenario, sweeps_table(study)
-    figure, (left, middle, right) = new_figure(3)
+    figure, (left, middle, right) = style.new_figure(3)
     own = scenario.gain_study
-    look = GAIN_METHODS[scenario.control.method]._replace(dashes=(0, (1, 2)))
+    look = style.GAIN_METHODS[scenario.control.method]._replace(dashes=(0, (1, 2)))
     sampling, noise = (sweeps[sweeps["axis"] == axis] for axis in ("sampling_s", "noise"))
     h_ms = 1e3 * sampling["sampling_s"].to_numpy()
     low, high = (1e3 * bound for bound in own.violation_delay_s)
-    left.axhspan(low, high, color="#dddddd", zorder=0, linewidth=0)
-    _draw_unstable(left, h_ms, 1e3 * sampling["first_unstable_delay_s"].to_numpy(), high)
-    top = float(sweeps["ratio_hi"].replace(np.inf, np.nan).max())
+    left.axhspan(low, high, **_VIOLATED)
+    unstable_ms = 1e3 * sampling["first_unstable_delay_s"].to_numpy()
+    known = np.isfinite(unstable_ms)  # no marker where no delay up to T_max is unstable
+    dotted: dict[str, Any] = {"color": "#000000", "marker": "o", "linestyle": (0, (1, 2))}
+    left.plot(h_ms[known], unstable_ms[known], **dotted)
+    left.set_ylim(0.0, 1.3 * max([high, *unstable_ms[known].tolist()]))
+    left.set_ylabel("first unstable constant delay [ms]")
     for axes, rows, x in ((middle, sampling, h_ms), (right, noise, np.arange(len(noise)))):
-        draw_series(axes, x, rows["ratio"], rows["ratio_lo"], rows["ratio_hi"], look)
-        axes.axhline(1.0, color=GREY, linewidth=0.9)
-        axes.set_ylim(0.0, 1.2 if np.isnan(top) else max(1.2, 1.05 * top))
-        axes.set_ylabel("error, adjusted / nominal [1]")
+        style.draw_series(axes, x, rows, "ratio", look)
+        _ratio_axis(axes, sweeps)
     for axes in (left, middle):
-        log_ticks(axes, h_ms.tolist())
+        style.log_ticks(axes, h_ms.tolist())
         axes.set_xlabel("sampling interval h [ms]")
     pairs = zip(noise["noise_position_m"], noise["noise_heading_rad"], strict=True)
     labels = [f"{1e3 * p:g} mm\n{1e3 * a:g} mrad" for p, a in pairs]
     right.set_xticks(range(len(noise)), labels, fontsize=6.5)
     right.set_xlim(-0.4, len(noise) - 0.6)
-    right.set_xlabel("measurement noise")
+    right.set(xlabel="measurement noise", title="(c) ratio against noise")
     left.set_title("(a) nominal loop")
     middle.set_title("(b) ratio against h")
-    right.set_title("(c) ratio against noise")
-    caption(
+    style.caption(
         figure,
         f"q = {scenario.control.weight:g}, {scenario.plant_name} plant, {look.label} gains. "
         f"Grey: the violated delays of (b) and (c), uniform in {low:g} to {high:g} ms. Means over "
@@ -317,7 +283,7 @@ def draw_gain_stability(study: Study) -> Figure:
     scenario, regions = study.scenario, stability_frame(study)
     own = regions[regions["axis"] == "weight"]
     plants = list(dict.fromkeys(own["plant"]))
-    figure, panels = new_figure(len(plants), sharey=True)
+    figure, panels = style.new_figure(len(plants), sharey=True)
     longest_ms = 1e3 * float((own["max_delay_steps"] * own["sampling_s"]).max())
     step = _SHIFT * max(1.0, float(np.ptp(own["value"])))
     for axes, plant, name in zip(panels, plants, "abcdef", strict=False):
@@ -325,15 +291,13 @@ def draw_gain_stability(study: Study) -> Figure:
             rows = own[(own["plant"] == plant) & (own["criterion"] == criterion)]
             if len(rows):
                 _draw_region(axes, rows, look, step * (number - 2))
-        axes.set_title(f"({name}) {plant} plant")
         axes.set_xticks(sorted(set(own["value"])))
-        axes.set_xlabel("weight q [1]")
-        axes.set_ylabel("longest delay [ms]")
-        axes.set_ylim(-0.07 * longest_ms, 1.12 * longest_ms)
+        axes.set(title=f"({name}) {plant} plant", xlabel="weight q [1]")
+        axes.set(ylabel="longest delay [ms]", ylim=(-0.07 * longest_ms, 1.12 * longest_ms))
     fullest = max(panels, key=lambda axes: len(axes.get_legend_handles_labels()[0]))
-    shared_legend(figure, fullest, columns=3)
+    style.shared_legend(figure, fullest, columns=3)
     delay_ms = 1e3 * max(scenario.gain_study.fixed_delay_s)
-    caption(
+    style.caption(
         figure,
         f"Delays in whole samples of {1e3 * scenario.control.sampling_s:g} ms; open markers: "
         f"{longest_ms:g} ms or more, no longer delay was tried. Markers are shifted sideways to "
@@ -359,33 +323,30 @@ def draw_gain_traces(study: Study) -> Figure:
     slots = study.measures("slots")
     traces = slots[slots["experiment"] == "gain_study"]
     nominal = traces["gain"] == "nominal"
-    plant_of_method = traces["value"].map(STUDY_PLANTS)
-    traces = traces.assign(method=traces["value"].mask(nominal, "nominal"), plant=plant_of_method)
+    methods = traces["value"].mask(nominal, "nominal")
+    traces = traces.assign(method=methods, plant=traces["value"].map(STUDY_PLANTS))
     plants = list(dict.fromkeys(traces["plant"]))
     ratios = [1.6, *[1.0] * (len(plants) - 1)]
-    figure, panels = new_figure(len(plants), sharey=True, width_ratios=ratios, height_in=3.1)
+    figure, panels = style.new_figure(len(plants), sharey=True, width_ratios=ratios, height_in=3.1)
     gain_study, slot_s = scenario.gain_study, scenario.radio.slot_s
     for axes, plant, name in zip(panels, plants, "abcdef", strict=False):
         own = traces[traces["plant"] == plant]
-        axes.axvspan(0.0, scenario.robot.window_s, color="#dddddd", zorder=0, linewidth=0)
+        axes.axvspan(0.0, scenario.robot.window_s, **_VIOLATED)
         for method, rows in own.groupby("method", sort=False):
-            look = GAIN_METHODS[str(method)]
             by_slot = rows.pivot(index="slot", columns="seed", values="error_cm")
-            intervals = np.array([mean_interval(row) for row in by_slot.to_numpy()])
+            intervals = [mean_interval(row).columns("error") for row in by_slot.to_numpy()]
             x = (by_slot.index.to_numpy() + 0.5) * slot_s
-            axes.plot(x, intervals[:, 0], color=look.color, linestyle=look.dashes, label=look.label)
-            axes.fill_between(
-                x, intervals[:, 1], intervals[:, 2], color=look.color, alpha=0.15, linewidth=0
+            style.draw_curve(
+                axes, x, pd.DataFrame(intervals), "error", style.GAIN_METHODS[str(method)]
             )
-        axes.set_title(f"({name}) {plant} plant")
+        axes.set(title=f"({name}) {plant} plant", ylabel="error, RMS over robots [cm]")
         axes.set_xlabel("time since the violation began [s]")
-        axes.set_ylabel("error, RMS over robots [cm]")
         axes.set_ylim(bottom=0.0)
         axes.margins(x=0.01)
-    _legend_of_all(figure, panels)
+    style.shared_legend(figure, *panels, columns=6)
     low, high = (1e3 * bound for bound in gain_study.violation_delay_s)
     calm = [f"{1e3 * bound:g}" for bound in gain_study.calm_delay_s]
-    caption(
+    style.caption(
         figure,
         f"Window {min(gain_study.violation_windows)} of the gain study, q = "
         f"{scenario.control.weight:g}. Grey: violated slots, {low:g} to {high:g} ms of delay; "
@@ -396,29 +357,12 @@ def draw_gain_traces(study: Study) -> Figure:
     return figure
 
 
-def _draw_unstable(
-    axes: Axes, h_ms: NDArray[np.float64], unstable_ms: NDArray[np.float64], high_ms: float
-) -> None:
-    """Draw first unstable delays; where there is none up to T_max, no marker."""
-    known = np.isfinite(unstable_ms)
-    axes.plot(h_ms[known], unstable_ms[known], color="#000000", marker="o", linestyle=(0, (1, 2)))
-    axes.set_ylim(0.0, 1.3 * max([high_ms, *unstable_ms[known].tolist()]))
-    axes.set_ylabel("first unstable constant delay [ms]")
-
-
 def _draw_region(axes: Axes, rows: pd.DataFrame, look: Look, shift: float) -> None:
     """Draw one criterion's longest delays; open markers where no longer delay was tried."""
     x, y = rows["value"] + shift, 1e3 * rows["delay_s"]
     axes.plot(x, y, color=look.color, linestyle=look.dashes, marker=look.marker, label=look.label)
     tried = rows["at_least"].to_numpy(bool)
-    axes.plot(
-        x[tried],
-        y[tried],
-        linestyle="none",
-        marker=look.marker,
-        markerfacecolor="white",
-        markeredgecolor=look.color,
-    )
+    style.open_marks(axes, x[tried], y[tried], look)
 
 
 def _equal_traces(traces: pd.DataFrame) -> str:
@@ -427,20 +371,8 @@ def _equal_traces(traces: pd.DataFrame) -> str:
     for _, own in traces.groupby("plant", sort=False):
         errors = {name: rows["error_cm"].to_numpy() for name, rows in own.groupby("method")}
         equal += [
-            GAIN_METHODS[str(name)].label
+            style.GAIN_METHODS[str(name)].label
             for name, error in errors.items()
             if name != "nominal" and np.array_equal(error, errors["nominal"])
         ]
     return f" {', '.join(equal)}: the nominal gain, at all these delays." if equal else ""
-
-
-def _legend_of_all(figure: Figure, panels: list[Axes]) -> None:
-    """Put one legend above the panels with the entries of all of them, each once."""
-    entries = {
-        label: handle
-        for axes in panels
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
-    }
-    figure.legend(
-        list(entries.values()), list(entries), loc="outside upper left", ncols=6, columnspacing=1.4
-    )

@@ -16,6 +16,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import numpy.typing as npt
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.container import ErrorbarContainer
 from matplotlib.figure import Figure
@@ -106,22 +107,17 @@ GAIN_METHODS = {
 def policy_look(policy: str, scenario: Scenario | None = None) -> Look:
     """Return how a policy is drawn, the same in every figure.
 
-    Parameters
-    ----------
-    policy
-        A rule, or a learner or policy of the scenario.
-    scenario
-        Its learners, the study's own first, and its own policies; unless given there is ``ddpg``.
+    A rule, or a learner or policy of the scenario; without one the only learner is ``ddpg``.
     """
     learners = ["ddpg"] if scenario is None else list(scenario.learned)
+    own = [] if scenario is None else list(scenario.policies)
     if policy in learners:
-        words = policy.split("_")
-        text = " ".join([words[0].upper() if words[0] in ALGORITHM_NAMES else words[0], *words[1:]])
+        first, *others = policy.split("_")
+        text = " ".join([first.upper() if first in ALGORITHM_NAMES else first, *others])
         place = learners.index(policy)
         if place == 0:
             return Look(f"DRL ({text})", _LEARNED_COLOR, "-", "o")
         return Look(text, *_LEARNER_LOOKS[(place - 1) % len(_LEARNER_LOOKS)])
-    own = [] if scenario is None else list(scenario.policies)
     if policy in own:
         return Look(policy.replace("_", " "), *_OWN_LOOKS[own.index(policy) % len(_OWN_LOOKS)])
     return _EXACT if policy == EXACT else RULES[policy].look  # type: ignore[attr-defined]
@@ -135,12 +131,12 @@ def house_style() -> Iterator[None]:
 
 
 def new_figure(
-    columns: int = 2, *, height_in: float = PANEL_HEIGHT_IN, **subplots: Any
+    columns: int = 2, rows: int = 1, *, height_in: float = PANEL_HEIGHT_IN, **subplots: Any
 ) -> tuple[Figure, list[Axes]]:
-    """Return a figure of panels side by side."""
+    """Return a figure of so many panels, row by row."""
     figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
-    axes = figure.subplots(1, columns, squeeze=False, **subplots)
-    return figure, list(axes[0])
+    axes = figure.subplots(rows, columns, squeeze=False, **subplots)
+    return figure, list(axes.flat)
 
 
 def caption(figure: Figure, text: str) -> None:
@@ -150,17 +146,18 @@ def caption(figure: Figure, text: str) -> None:
 
 
 def shared_legend(
-    figure: Figure, axes: Axes, *, columns: int | None = None, side: str = "left"
+    figure: Figure, *panels: Axes, columns: int | None = None, side: str = "left"
 ) -> None:
-    """Put a panel's legend above the panels, for all of them."""
+    """Put one legend above all panels, with the entries of some of them, each once."""
+    entries = {
+        label: handle
+        for axes in panels
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)
+    }
     # Matplotlib lists plain lines before error bars: measured series first, references last.
-    entries = sorted(
-        zip(*axes.get_legend_handles_labels(), strict=True),
-        key=lambda entry: not isinstance(entry[0], ErrorbarContainer),
-    )
-    handles, labels = [entry[0] for entry in entries], [entry[1] for entry in entries]
+    labels = sorted(entries, key=lambda label: not isinstance(entries[label], ErrorbarContainer))
     figure.legend(
-        handles,
+        [entries[label] for label in labels],
         labels,
         loc="outside upper right" if side == "right" else "outside upper left",
         ncols=columns or len(labels),
@@ -168,34 +165,10 @@ def shared_legend(
     )
 
 
-def note_at(axes: Axes, text: str, x: float, y: float, **options: Any) -> None:
-    """Write small text into a panel, on white."""
-    axes.annotate(
-        text,
-        (x, y),
-        fontsize=7,
-        bbox={"facecolor": "white", "alpha": 0.85, "edgecolor": "none", "pad": 0.8},
-        zorder=5,
-        **options,
-    )
-
-
 def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
-    """Write a figure as SVG and PNG; equal figures give equal bytes (on one version of matplotlib).
+    """Write a figure as SVG and PNG and return both files.
 
-    Parameters
-    ----------
-    figure
-        The figure.
-    folder
-        Where to.
-    name
-        File name without suffix.
-
-    Returns
-    -------
-    list of Path
-        The two files.
+    Equal figures give equal bytes, on one version of matplotlib.
     """
     written = []
     for suffix, metadata in (("svg", {"Date": None}), ("png", {"Software": None})):
@@ -205,45 +178,49 @@ def save_figure(figure: Figure, folder: Path, name: str) -> list[Path]:
     return written
 
 
-def share_intervals(shares: npt.NDArray[np.float64]) -> dict[str, list[float]]:
-    """Return mean and interval over worlds at every point; shares have shape (points, worlds)."""
-    intervals = [mean_interval(row) for row in shares]
-    return {
-        "share": [interval.mean for interval in intervals],
-        "share_lo": [interval.lo for interval in intervals],
-        "share_hi": [interval.hi for interval in intervals],
-    }
+def share_intervals(shares: npt.NDArray[np.float64]) -> pd.DataFrame:
+    """Return `share` (_lo, _hi), mean over worlds at every point, of shape (points, worlds)."""
+    return pd.DataFrame([mean_interval(row).columns("share") for row in shares])
+
+
+def draw_curve(
+    axes: Axes,
+    x: npt.ArrayLike,
+    rows: pd.DataFrame,
+    measure: str,
+    look: Look,
+    *,
+    cut: tuple[float, float] = (-math.inf, math.inf),
+    alpha: float = 0.15,
+    **line: Any,
+) -> None:
+    """Draw a measure as a line and its bounds, cut at a least and a greatest value, as a band.
+
+    There is no band where its opacity `alpha` is 0.
+    """
+    low, high = (rows[f"{measure}_{end}"].clip(*cut) for end in ("lo", "hi"))
+    if alpha:
+        axes.fill_between(x, low, high, color=look.color, alpha=alpha, linewidth=0)
+    style = {"color": look.color, "linestyle": look.dashes, "label": look.label, **line}
+    axes.plot(x, rows[measure], **style)
 
 
 def draw_series(
     axes: Axes,
     x: npt.ArrayLike,
-    mean: npt.ArrayLike,
-    lo: npt.ArrayLike,
-    hi: npt.ArrayLike,
+    rows: pd.DataFrame,
+    measure: str,
     look: Look,
     *,
     floor: float | None = None,
-    label: str | None = None,
 ) -> None:
     """Draw means with their intervals as error bars, joined by a line.
 
-    A bar without an upper bound is an arrow out of the panel, which does not stretch the axis.
-
-    Parameters
-    ----------
-    axes
-        Panel.
-    x, mean, lo, hi
-        Points, shape (n,).
-    look
-        Colour, dashes, marker, label.
-    floor
-        Where a logarithmic axis shows 0: means of 0 get an open marker there, bars stop there.
-    label
-        Label instead of the look's own.
+    A bar without an upper bound is an arrow out of the panel, which does not stretch the axis. Rows
+    have the columns `measure`, ``_lo`` and ``_hi`` behind it too. Where a logarithmic axis shows 0,
+    at `floor`, means of 0 get an open marker, and bars stop there.
     """
-    middle, low, high = (np.asarray(values, dtype=np.float64) for values in (mean, lo, hi))
+    middle, low, high = (rows[f"{measure}{end}"].to_numpy(float) for end in ("", "_lo", "_hi"))
     places = np.asarray(x, dtype=np.float64)
     zero = np.zeros(len(middle), bool)
     if floor is not None:
@@ -258,35 +235,60 @@ def draw_series(
         linestyle=look.dashes,
         marker=look.marker,
         elinewidth=0.9,
-        label=look.label if label is None else label,
+        label=look.label,
     )
     if zero.any():
-        axes.plot(
-            places[zero],
-            middle[zero],
-            linestyle="none",
-            marker=look.marker,
-            markerfacecolor="white",
-            markeredgecolor=look.color,
-            zorder=4,
-        )
+        open_marks(axes, places[zero], middle[zero], look, zorder=4)
     for place, at in zip(places[unbounded], middle[unbounded], strict=True):
         unbounded_bar(axes, place, at, look)
 
 
+def open_marks(axes: Axes, x: npt.ArrayLike, y: npt.ArrayLike, look: Look, **options: Any) -> None:
+    """Draw a look's markers, filled with white."""
+    style: dict[str, Any] = {"linestyle": "none", "marker": look.marker, **options}
+    axes.plot(x, y, markerfacecolor="white", markeredgecolor=look.color, **style)
+
+
+def draw_mark(
+    axes: Axes,
+    row: Any,
+    measure: str,
+    y: float,
+    look: Look,
+    *,
+    floor: float = -math.inf,
+    hollow: bool = False,
+    **options: Any,
+) -> None:
+    """Draw one mean at a height, its interval as a bar sideways; nothing lies left of the floor.
+
+    The row is one of `draw_series`; a hollow mark is white inside; options are of `Axes.errorbar`.
+    """
+    at, low, high = (max(float(row[f"{measure}{end}"]), floor) for end in ("", "_lo", "_hi"))
+    if high == np.inf:
+        unbounded_bar(axes, at, y, look, which="x")
+        high = at
+    axes.errorbar(
+        [at],
+        [y],
+        xerr=[[at - low], [high - at]],
+        color=look.color,
+        marker=look.marker,
+        markerfacecolor="white" if hollow else look.color,
+        **options,
+    )
+
+
 def unbounded_bar(axes: Axes, x: float, y: float, look: Look, *, which: str = "y") -> None:
     """Draw an arrow from a point to the upper end of an axis, ``x`` or ``y``."""
-    end = ("data", "axes fraction") if which == "y" else ("axes fraction", "data")
+    style = {"arrowstyle": "->", "color": look.color, "linewidth": 0.9}
     axes.annotate(
         "",
         (x, 1.0) if which == "y" else (1.0, y),
         xytext=(x, y),
-        xycoords=end,
+        xycoords=("data", "axes fraction") if which == "y" else ("axes fraction", "data"),
         textcoords="data",
-        arrowprops={
-            **{"arrowstyle": "->", "color": look.color, "linewidth": 0.9},
-            **{"shrinkA": 0.0, "shrinkB": 0.0},
-        },
+        arrowprops={**style, "shrinkA": 0.0, "shrinkB": 0.0},
     )
 
 
@@ -309,39 +311,27 @@ def log_axis_with_zero(
 ) -> None:
     """Make an axis logarithmic with a mark for 0 at its lower end, set apart by a dotted line.
 
-    Parameters
-    ----------
-    axes
-        Panel.
-    floor
-        Where 0 is shown, from `zero_floor`.
-    values
-        What has to fit, of any shape; NaN counts for nothing.
-    which
-        ``x`` or ``y``.
+    It is shown at `floor`, from `zero_floor`; the values have to fit, NaN counts for nothing.
     """
     finite = np.asarray(values, dtype=np.float64).ravel()
-    top = max([10.0 * floor, *finite[np.isfinite(finite)].tolist()])
     first = math.ceil(math.log10(floor))
+    top = max([10.0 * floor, *finite[np.isfinite(finite)].tolist()])
+    end = max(top * 1.6, 10.0 ** (first + 1))
     last = max(first + 1, math.ceil(math.log10(top)))
-    decades = range(first, last + 1)
+    shown = [decade for decade in range(first, last + 1) if 10.0**decade <= end]
+    axes.set(**{f"{which}scale": "log", f"{which}lim": (floor * 0.72, end)})
     axis = axes.yaxis if which == "y" else axes.xaxis
-    (axes.set_yscale if which == "y" else axes.set_xscale)("log")
-    limits = axes.set_ylim if which == "y" else axes.set_xlim
-    limits(floor * 0.72, max(top * 1.6, 10.0 ** (first + 1)))
-    shown = [d for d in decades if 10.0**d <= max(top * 1.6, 10.0 ** (first + 1))]
-    axis.set_major_locator(FixedLocator([floor, *(10.0**d for d in shown)]))
-    axis.set_major_formatter(FixedFormatter(["0", *(f"$10^{{{d}}}$" for d in shown)]))
+    axis.set_major_locator(FixedLocator([floor, *(10.0**decade for decade in shown)]))
+    axis.set_major_formatter(FixedFormatter(["0", *(f"$10^{{{decade}}}$" for decade in shown)]))
     axis.set_minor_locator(NullLocator())
     line = axes.axhline if which == "y" else axes.axvline
     line(math.sqrt(floor * 10.0**first), color=GREY, linestyle=(0, (1, 3)), linewidth=0.8, zorder=0)
 
 
-def log_ticks(axes: Axes, values: Sequence[float], *, which: str = "x") -> None:
-    """Make an axis logarithmic with a tick at each of the values."""
-    axis = axes.xaxis if which == "x" else axes.yaxis
-    (axes.set_xscale if which == "x" else axes.set_yscale)("log")
-    axis.set_major_locator(FixedLocator(list(values)))
-    axis.set_major_formatter(FixedFormatter([f"{value:g}" for value in values]))
-    axis.set_minor_locator(NullLocator())
-    axis.set_minor_formatter(NullFormatter())
+def log_ticks(axes: Axes, values: Sequence[float]) -> None:
+    """Make the axis of x logarithmic with a tick at each of the values."""
+    axes.set_xscale("log")
+    axes.xaxis.set_major_locator(FixedLocator(list(values)))
+    axes.xaxis.set_major_formatter(FixedFormatter([f"{value:g}" for value in values]))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_minor_formatter(NullFormatter())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -10,16 +11,18 @@ import numpy as np
 import pandas as pd
 
 from hiersched.control import GainSchedule, spectral_radius_by_delay
-from hiersched.experiments.points import STUDY_PLANTS, Point, baseline_method, experiments
+from hiersched.experiments.points import STUDY_PLANTS, baseline_method, experiments
 from hiersched.scenario import Scenario, delay_steps
 from hiersched.scenario.schema import GainMethod
 from hiersched.simulator.loop_gains import plant_of
 from hiersched.study.metrics import OFF_TRACK_CM
 from hiersched.study.paper import TABLE2
 from hiersched.study.registry import has_gain_study, table
-from hiersched.study.statistics import Interval, interval_columns, mean_interval, paired_log_ratio
+from hiersched.study.statistics import Interval, mean_interval, paired_log_ratio
 from hiersched.study.study import Study
 from hiersched.study.tables.text import RATIO_NOTE, SEEDS_NOTE, TROUBLE_NOTE
+
+_UNKNOWN = math.nan, math.nan
 
 
 def has_gain_grid(scenario: Scenario) -> bool:
@@ -73,48 +76,59 @@ def methods_table(study: Study) -> pd.DataFrame:
     gain_study = scenario.gain_study
     violated = sorted(gain_study.violation_windows)
     calm = [slot for slot in range(1, gain_study.num_windows + 1) if slot not in violated]
-    spans = {**{str(slot): [slot] for slot in violated}, "violated": violated}
-    if calm:
-        spans["calm"] = calm
+    spans = {**{str(slot): [slot] for slot in violated}, "violated": violated, "calm": calm}
     robots = study.robots("gain_study")
     rows = []
     for method in gain_study.methods:
         own = _of_method(robots, scenario, method)
         schedule = study.schedule(study.point("gain_study", method).scenario)
         for slot, windows in spans.items():
+            if not windows:
+                continue
             bounds = gain_study.calm_delay_s if slot == "calm" else gain_study.violation_delay_s
-            runs = by_run(own[own["window"].isin(windows)])
             labels = {"method": method, "plant": STUDY_PLANTS[method], "slot": slot}
-            state = schedule_state(schedule, delay_range(scenario, bounds))
-            rows.append({**labels, **compared(runs), **state})
+            row = {**labels, **compared(by_run(own[own["window"].isin(windows)]))}
+            rows.append(row | schedule_state(schedule, delay_range(scenario, bounds)))
     return pd.DataFrame(rows)
 
 
 def sweep_points_table(study: Study, experiment: str) -> pd.DataFrame:
     """Compare both gains at every point of a sweep of the gain study, in its violated windows.
 
-    Returns
-    -------
-    DataFrame
-        One row a point: its columns, errors, ratio, shares of robots in trouble, and ``effect``:
-        ``same gain``, ``helps`` or ``hurts`` where the ratio's interval excludes 1, else
-        ``no difference``.
+    A row has the point's values, the delays in violated windows and the gains in force there, the
+    columns of `compared`, and ``effect``: ``same gain``, else `effect_of` the ratio.
     """
     robots = study.robots(experiment)
-    robots = robots[robots["window"] > 1]
     rows = []
-    for value, group in robots.groupby("value", sort=False):
-        row = point_columns(study, study.point(experiment, str(value)), experiment)
-        same = row.pop("same_gain")
-        row |= compared(by_run(group))
+    for value, group in robots[robots["window"] > 1].groupby("value", sort=False):
+        point = study.point(experiment, str(value))
+        assert point.delays is not None
+        schedule, bounds = study.schedule(point.scenario), point.delays.violation_s
+        delays = delay_range(point.scenario, bounds)
+        control, robot = point.scenario.control, point.scenario.robot
+        row = {
+            "axis": experiment.removeprefix("gain_"),
+            "value": point.value,
+            "weight": control.weight,
+            "sampling_s": control.sampling_s,
+            "noise_position_m": robot.noise_position_m,
+            "noise_heading_rad": robot.noise_heading_rad,
+            "delay_lo_s": bounds[0],
+            "delay_hi_s": bounds[1],
+            **schedule_state(schedule, delays),
+            **compared(by_run(group)),
+        }
+        own_gain = any(
+            (schedule.gains[delay] != schedule.nominal).any() or schedule.input_gains[delay].any()
+            for delay in delays
+        )
         ratio = Interval(row["ratio"], row["ratio_lo"], row["ratio_hi"])
-        row["effect"] = "same gain" if same else effect_of(ratio)
-        rows.append(row)
+        rows.append({**row, "effect": effect_of(ratio) if own_gain else "same gain"})
     return pd.DataFrame(rows)
 
 
 def effect_of(ratio: Interval) -> str:
-    """Return what a ratio of errors, adjusted over nominal, says at the level of its interval."""
+    """Return ``helps`` or ``hurts`` where the interval of a ratio of errors excludes 1."""
     if ratio.hi < 1.0:
         return "helps"
     return "hurts" if ratio.lo > 1.0 else "no difference"
@@ -123,12 +137,13 @@ def effect_of(ratio: Interval) -> str:
 def compared(runs: pd.DataFrame) -> dict[str, Any]:
     """Compare adjusted and nominal gain over the same seeds, which are in the same order."""
     by_gain = {gain: runs[runs["gain"] == gain] for gain in ("nominal", "adjusted")}
-    row: dict[str, Any] = {}
-    for gain, group in by_gain.items():
-        row |= interval_columns(f"{gain}_cm", mean_interval(group["error_cm"]))
-    nominal, adjusted = (by_gain[gain]["error_cm"].to_numpy() for gain in ("nominal", "adjusted"))
-    row |= interval_columns("ratio", paired_log_ratio(adjusted, nominal))
-    row["seeds"] = len(nominal)
+    nominal, adjusted = (group["error_cm"].to_numpy() for group in by_gain.values())
+    row: dict[str, Any] = {
+        **mean_interval(nominal).columns("nominal_cm"),
+        **mean_interval(adjusted).columns("adjusted_cm"),
+        **paired_log_ratio(adjusted, nominal).columns("ratio"),
+        "seeds": len(nominal),
+    }
     for name in ("off_track", "saturated"):
         for gain, group in by_gain.items():
             row[f"{gain}_{name}_share"] = float(group[name].mean())
@@ -168,38 +183,12 @@ def sweeps_table(study: Study) -> pd.DataFrame:
     points = pd.concat(frames, ignore_index=True)
     regions = stability_frame(study)
     exact = regions[regions["axis"] == "sampling_s"].set_index("value")
-    unstable_s = []
-    for axis, sampling_s in zip(points["axis"], points["sampling_s"], strict=True):
-        if axis != "sampling_s" or exact.loc[sampling_s, "at_least"]:
-            unstable_s.append(math.nan)
-        else:
-            unstable_s.append((exact.loc[sampling_s, "delay_steps"] + 1.0) * sampling_s)
+    first_s = (exact["delay_steps"] + 1.0) * exact.index
+    unstable_s = points["sampling_s"].map(first_s.mask(exact["at_least"]))
     place = list(points.columns).index("sampling_s") + 1
+    unstable_s = unstable_s.where(points["axis"] == "sampling_s")
     points.insert(place, "first_unstable_delay_s", unstable_s)
     return points.drop(columns=["value", "weight"])
-
-
-def point_columns(study: Study, point: Point, experiment: str) -> dict[str, Any]:
-    """Describe a point: its values, the delays in violated windows, the gains in force there."""
-    assert point.delays is not None
-    schedule = study.schedule(point.scenario)
-    bounds = point.delays.violation_s
-    delays = delay_range(point.scenario, bounds)
-    control, robot = point.scenario.control, point.scenario.robot
-    changed = any((schedule.gains[T] != schedule.nominal).any() for T in delays)
-    predicts = any(schedule.input_gains[T].any() for T in delays)
-    return {
-        "axis": experiment.removeprefix("gain_"),
-        "value": point.value,
-        "weight": control.weight,
-        "sampling_s": control.sampling_s,
-        "noise_position_m": robot.noise_position_m,
-        "noise_heading_rad": robot.noise_heading_rad,
-        "delay_lo_s": bounds[0],
-        "delay_hi_s": bounds[1],
-        **schedule_state(schedule, delays),
-        "same_gain": not (changed or predicts),
-    }
 
 
 def by_run(robots: pd.DataFrame) -> pd.DataFrame:
@@ -207,11 +196,6 @@ def by_run(robots: pd.DataFrame) -> pd.DataFrame:
 
     ``off_track``: robots with more than `OFF_TRACK_CM` in one of the windows; ``saturated``: robots
     with a control at its limit in more than half of the slots of one. None is left out of the mean.
-
-    Parameters
-    ----------
-    robots
-        Some windows of runs, from `Study.robots`.
     """
     rows = []
     for (gain, seed), own in robots.groupby(["gain", "seed"], sort=False):
@@ -233,11 +217,12 @@ def by_run(robots: pd.DataFrame) -> pd.DataFrame:
 
 def _of_method(robots: pd.DataFrame, scenario: Scenario, method: GainMethod) -> pd.DataFrame:
     """Return the windows of a method, and of the nominal gain on its plant."""
-    first = baseline_method(scenario, method)
-    nominal = robots[(robots["gain"] == "nominal") & (robots["value"] == first)]
-    return pd.concat(
-        [nominal, robots[(robots["gain"] == "adjusted") & (robots["value"] == method)]]
-    )
+    values = {"nominal": baseline_method(scenario, method), "adjusted": method}
+    parts = [
+        robots[(robots["gain"] == gain) & (robots["value"] == value)]
+        for gain, value in values.items()
+    ]
+    return pd.concat(parts)
 
 
 @table(
@@ -284,8 +269,7 @@ def schedule_table(study: Study) -> pd.DataFrame:
         schedule = study.schedule(study.point("gain_study", method).scenario)
         kind: Literal["network", "split"] = "split" if schedule.kind == "split" else "network"
         control = replace(scenario.control, loop=kind, sampling_s=schedule.sampling_s)
-        plant = plant_of(replace(scenario, control=control))
-        loop = plant.closed_loop(schedule.nominal)
+        loop = plant_of(replace(scenario, control=control)).closed_loop(schedule.nominal)
         nominal_radii = spectral_radius_by_delay(*loop, schedule.max_delay_steps)
         for delay, certificate in enumerate(schedule.certificates):
             rows.append(
@@ -311,29 +295,17 @@ def study_methods(scenario: Scenario) -> list[GainMethod]:
     return sorted(scenario.gain_study.methods, key=lambda method: method != own)
 
 
-def gain_errors(study: Study) -> pd.DataFrame:
-    """Return the tracking errors of the gain study, mean over robots.
+def runs_by_method(study: Study) -> Iterator[tuple[GainMethod, int, pd.DataFrame]]:
+    """Give the runs (`by_run`) of every method in every window, with the nominal gain beside.
 
-    Returns
-    -------
-    DataFrame
-        Columns method, plant, gain (nominal, adjusted), seed, slot (window, 1 = the first),
-        violated, error_cm; the scenario's own method first. Methods on one plant share the runs
-        with the nominal gain.
+    Windows are counted from 1, methods begin with the scenario's own; those on one plant share the
+    runs with the nominal gain.
     """
-    scenario = study.scenario
     robots = study.robots("gain_study")
-    frames = []
-    for method in study_methods(scenario):
-        own = _of_method(robots, scenario, method)
-        keys = ["gain", "seed", "window"]
-        means = own.groupby(keys, sort=False)["error_cm"].apply(lambda e: e.to_numpy().mean())
-        frame = means.reset_index().rename(columns={"window": "slot"})
-        frame.insert(0, "method", method)
-        frame.insert(1, "plant", STUDY_PLANTS[method])
-        frames.append(frame)
-    table = pd.concat(frames, ignore_index=True)
-    return table.assign(violated=table["slot"].isin(scenario.gain_study.violation_windows))
+    for method in study_methods(study.scenario):
+        own = _of_method(robots, study.scenario, method)
+        for slot, windows in own.groupby("window", sort=False):
+            yield method, int(str(slot)), by_run(windows)
 
 
 @table(
@@ -364,33 +336,23 @@ def gain_table(study: Study) -> pd.DataFrame:
 
     Slots that are in the paper's Table II have its numbers beside them.
     """
-    gains = gain_errors(study)
     rows = []
-    for (method, plant, slot, violated), group in gains.groupby(
-        ["method", "plant", "slot", "violated"], sort=False
-    ):
-        by_gain = group.pivot(index="seed", columns="gain", values="error_cm")
-        nominal, adjusted = by_gain["nominal"].to_numpy(), by_gain["adjusted"].to_numpy()
-        printed = TABLE2.get(int(str(slot))) if violated else None
+    for method, slot, runs in runs_by_method(study):
+        violated = slot in study.scenario.gain_study.violation_windows
+        nominal, adjusted = TABLE2.get(slot, _UNKNOWN) if violated else _UNKNOWN
+        row = compared(runs)
+        first = ["nominal_cm", "adjusted_cm", "ratio", "ratio_lo", "ratio_hi"]
+        bounds = [f"{gain}_cm_{end}" for gain in ("nominal", "adjusted") for end in ("lo", "hi")]
         rows.append(
             {
                 "slot": slot,
-                "nominal_cm": float(nominal.mean()),
-                "adjusted_cm": float(adjusted.mean()),
-                **interval_columns("ratio", paired_log_ratio(adjusted, nominal)),
-                **_bounds("nominal_cm", mean_interval(nominal)),
-                **_bounds("adjusted_cm", mean_interval(adjusted)),
-                "seeds": len(by_gain),
+                **{name: row[name] for name in (*first, *bounds, "seeds")},
                 "method": method,
-                "plant": plant,
-                "violated": bool(violated),
-                "paper_nominal": printed.nominal if printed else math.nan,
-                "paper_adjusted": printed.adjusted if printed else math.nan,
-                "paper_ratio": printed.adjusted / printed.nominal if printed else math.nan,
+                "plant": STUDY_PLANTS[method],
+                "violated": violated,
+                "paper_nominal": nominal,
+                "paper_adjusted": adjusted,
+                "paper_ratio": adjusted / nominal,
             }
         )
     return pd.DataFrame(rows)
-
-
-def _bounds(name: str, interval: Interval) -> dict[str, float]:
-    return {f"{name}_lo": interval.lo, f"{name}_hi": interval.hi}

@@ -13,7 +13,7 @@ from hiersched.scenario import load_scenario, scenario_notes, scenario_to_dict
 from hiersched.scenario.load import DEFAULTS
 from hiersched.study.paper import SYMBOLS, TABLE3
 from hiersched.study.registry import compares_rates, own_and_baseline, table
-from hiersched.study.statistics import interval_columns, mean_interval, paired_log_ratio
+from hiersched.study.statistics import mean_interval, paired_log_ratio
 from hiersched.study.study import Study
 from hiersched.study.tables.policies import differing_keys
 from hiersched.study.tables.text import LOGGED_NOTE, RATIO_NOTE, SEEDS_NOTE
@@ -99,16 +99,15 @@ def rate_table(study: Study) -> pd.DataFrame:
         if here.empty:
             raise ValueError(f"slot {slot}: the runs are shorter")
         own = {p: here[here["policy"] == p].set_index("seed") for p in present}
-        printed = TABLE3.get(slot) if isinstance(slot, int) else None
-        row: dict[str, Any] = {"slot": slot, "seeds": len(scenario.evaluate.seeds)}
-        gain = own[present[0]]["channel_gain"].to_numpy()
-        row |= interval_columns("channel_gain", mean_interval(gain))
         rates = {p: own[p]["urllc_rate_mbps"].to_numpy() for p in present}
+        row: dict[str, Any] = {"slot": slot, "seeds": len(scenario.evaluate.seeds)}
+        row |= mean_interval(own[present[0]]["channel_gain"]).columns("channel_gain")
         for name, policy in (("drl", learned), ("pf", BASELINE)):
             if policy in rates:
-                row |= interval_columns(f"{name}_mbps", mean_interval(rates[policy]))
+                row |= mean_interval(rates[policy]).columns(f"{name}_mbps")
         if len(rates) == 2:
-            row |= interval_columns("ratio", paired_log_ratio(rates[learned], rates[BASELINE]))
+            row |= paired_log_ratio(rates[learned], rates[BASELINE]).columns("ratio")
+        printed = TABLE3.get(slot) if isinstance(slot, int) else None
         for field in ("channel_gain", "drl_mbps", "pf_mbps"):
             row[f"paper_{field}"] = getattr(printed, field) if printed else math.nan
         rows.append(row)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import asdict
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -13,14 +14,7 @@ import pandas as pd
 from hiersched.experiments.points import BASELINE
 from hiersched.policies.index_rules import CLASSICAL
 from hiersched.scenario import Scenario
-from hiersched.study.intervals import (
-    INTERVAL_NOTE,
-    SYMMETRIC,
-    measure_interval,
-    resolution,
-    smallest_late_share,
-)
-from hiersched.study.metrics import violation_column
+from hiersched.study.metrics import DELAY_QUANTILES, violation_column
 from hiersched.study.registry import (
     axis_of,
     has_bound,
@@ -30,10 +24,16 @@ from hiersched.study.registry import (
     table,
     varies,
 )
-from hiersched.study.samples import counts, paired
+from hiersched.study.samples import (
+    INTERVAL_NOTE,
+    SYMMETRIC,
+    counts,
+    measure_interval,
+    paired,
+    resolution,
+    smallest_late_share,
+)
 from hiersched.study.statistics import (
-    Interval,
-    interval_columns,
     mean_interval,
     paired_difference,
     paired_log_ratio,
@@ -46,69 +46,29 @@ BACKLOG = "mean_square_backlog"
 """Time average of half the sum of squared backlogs: the measure by which policies are ranked."""
 LOAD, SCALE = "traffic.load", "radio.fading.scale"
 
+_LATE = ("urllc_late_share", "embb_late_share")
+_RATES = ("urllc_rate_mbps", "embb_rate_mbps")
+_BACKLOGS = ("urllc_backlog_packets", "embb_backlog_packets")
+_OF_ROBOTS = ("tracking_error_cm", "dexterity_index")
+_FIRST = (*_LATE, *_RATES, *_BACKLOGS, "urllc_delay_p99_s", *_OF_ROBOTS)
 LEADING_MEASURES = (
-    "urllc_late_share",
-    "embb_late_share",
-    "urllc_rate_mbps",
-    "embb_rate_mbps",
-    "urllc_backlog_packets",
-    "embb_backlog_packets",
-    "urllc_delay_p99_s",
-    "tracking_error_cm",
-    "dexterity_index",
-    "urllc_delay_p50_s",
-    "urllc_delay_p95_s",
-    "urllc_delay_p999_s",
-    "embb_delay_p50_s",
-    "embb_delay_p95_s",
-    "embb_delay_p99_s",
-    "embb_delay_p999_s",
-    "off_track_share",
-    "mean_square_backlog",
+    *_FIRST,
+    *(f"urllc_delay_{name}_s" for name in DELAY_QUANTILES if name != "p99"),
+    *(f"embb_delay_{name}_s" for name in DELAY_QUANTILES),
+    *("off_track_share", BACKLOG),
 )
 TRAILING_MEASURES = (
-    "delay_steps",
-    "delay_capped_share",
-    "arrival_clamped_share",
-    "control_saturations_per_s",
-    "penalty_cost",
+    *("delay_steps", "delay_capped_share", "arrival_clamped_share"),
+    *("control_saturations_per_s", "penalty_cost"),
 )
 COMPARED = (
-    "urllc_late_share",
-    "urllc_rate_mbps",
-    "embb_rate_mbps",
-    "embb_late_share",
-    "urllc_backlog_packets",
-    "embb_backlog_packets",
-    "urllc_delay_p99_s",
-    "tracking_error_cm",
-    "off_track_share",
-    "mean_square_backlog",
-    "penalty_cost",
+    *("urllc_late_share", *_RATES, "embb_late_share", *_BACKLOGS, "urllc_delay_p99_s"),
+    *("tracking_error_cm", "off_track_share", BACKLOG, "penalty_cost"),
 )
-CELL_MEASURES = (
-    "urllc_late_share",
-    "urllc_rate_mbps",
-    "embb_rate_mbps",
-    "tracking_error_cm",
-    BACKLOG,
-    "penalty_cost",
+CELL_MEASURES = ("urllc_late_share", *_RATES, "tracking_error_cm", BACKLOG, "penalty_cost")
+_READ_INTERVALS = tuple(
+    f"{name}{end}" for name in (*_FIRST, BACKLOG, "penalty_cost") for end in ("", "_lo", "_hi")
 )
-_MEDIAN = "`…_median`: over worlds, of learned policies over policies and worlds."
-_READ_MEASURES = (
-    "urllc_late_share",
-    "embb_late_share",
-    "urllc_rate_mbps",
-    "embb_rate_mbps",
-    "urllc_backlog_packets",
-    "embb_backlog_packets",
-    "urllc_delay_p99_s",
-    "tracking_error_cm",
-    "dexterity_index",
-    "mean_square_backlog",
-    "penalty_cost",
-)
-_READ_INTERVALS = tuple(f"{name}{end}" for name in _READ_MEASURES for end in ("", "_lo", "_hi"))
 
 
 def all_measures(scenario: Scenario) -> list[str]:
@@ -117,43 +77,23 @@ def all_measures(scenario: Scenario) -> list[str]:
     return [*LEADING_MEASURES, *violating, *TRAILING_MEASURES]
 
 
-def summarise(
-    runs: pd.DataFrame, by: Sequence[str], names: Sequence[str], scenario: Scenario
-) -> pd.DataFrame:
-    """Return the mean of each measure over a group's runs, and its interval as ``_lo``, ``_hi``.
-
-    `seeds` are the worlds, `training_seeds` the policies of a learner, 0 of a rule: see `samples`.
-
-    Parameters
-    ----------
-    runs
-        One row a run.
-    by
-        Columns that make up a group; groups keep the order of the rows.
-    names
-        Measures.
-    scenario
-        Of the runs.
-    """
-    rows = []
-    for key, group in runs.groupby(list(by), sort=False):
-        row: dict[str, Any] = dict(zip(by, key, strict=True))
-        row |= counts(group)
-        for name in names:
-            row |= interval_columns(name, measure_interval(name, group, scenario))
-        rows.append(row)
-    return pd.DataFrame(rows)
+def _means(runs: pd.DataFrame, names: Iterable[str], scenario: Scenario) -> dict[str, Any]:
+    """Return columns of the runs of a policy: their `samples.counts`, intervals of measures."""
+    row: dict[str, Any] = {**counts(runs)}
+    for name in names:
+        row |= measure_interval(name, runs, scenario).columns(name)
+    return row
 
 
 @table(
     "policies",
     title="Policies in the same worlds",
-    note=f"{INTERVAL_NOTE} {_MEDIAN} `urllc_late_share_smallest`: the least late share that these "
-    "worlds tell from 0. `mean_square_backlog`: time average of ½ΣF² [packets²]. Delays are of "
-    "delivered packets; packets that still wait count in the late shares alone. "
-    "`backlog_over_best`, `improvement`: mean square backlog over that of the best classical "
-    "scheduler, and the probability that it is less in another world. The CSV has more "
-    f"columns. {LEARNED_NOTE}",
+    note=f"{INTERVAL_NOTE} `…_median`: over worlds, of learned policies over policies and worlds. "
+    "`urllc_late_share_smallest`: the least late share that these worlds tell from 0. "
+    "`mean_square_backlog`: time average of ½ΣF² [packets²]. Delays are of delivered packets; "
+    "packets that still wait count in the late shares alone. `backlog_over_best`, `improvement`: "
+    "mean square backlog over that of the best classical scheduler, and the probability that it "
+    f"is less in another world. The CSV has more columns. {LEARNED_NOTE}",
     reads=("runs",),
     columns=(
         *("policy", "seeds", "training_seeds"),
@@ -165,20 +105,16 @@ def summarise(
     ),
 )
 def policy_table(study: Study) -> pd.DataFrame:
-    """Return one row a policy: all measures over the evaluation's worlds, medians beside means.
-
-    Of a learned policy, over all its policies in all worlds. `urllc_late_share_smallest` is the
-    least late share that these worlds tell from 0.
-    """
+    """Return one row a policy: all measures over the evaluation's worlds, medians beside means."""
     runs, scenario = study.evaluation, study.scenario
     names = all_measures(scenario)
-    table = summarise(runs, ["policy"], names, scenario)
-    groups = [group for _, group in runs.groupby("policy", sort=False)]
-    medians = {f"{name}_median": [float(g[name].median()) for g in groups] for name in names}
-    smallest = [smallest_late_share(group, scenario) for group in groups]
-    medians["urllc_late_share_smallest"] = smallest
-    table = pd.concat([table, pd.DataFrame(medians)], axis=1)
-    return table.merge(standing(runs), on="policy")
+    rows = []
+    for policy, own in runs.groupby("policy", sort=False):
+        row: dict[str, Any] = {"policy": policy, **_means(own, names, scenario)}
+        row |= {f"{name}_median": float(own[name].median()) for name in names}
+        row["urllc_late_share_smallest"] = smallest_late_share(own, scenario)
+        rows.append({**row, **_against_best(own, runs, improvement=True)})
+    return pd.DataFrame(rows)
 
 
 @table(
@@ -196,18 +132,16 @@ def sweep_table(study: Study) -> pd.DataFrame:
 
 def along_axes(study: Study, *axes: str) -> pd.DataFrame:
     """Return the rows of `sweep_table` of some axes."""
-    runs = study.sweeps
-    by = ["axis", "value", "policy"]
-    own = runs[runs["axis"].isin(axes)]
-    return summarise(own, by, all_measures(study.scenario), study.scenario)
+    scenario, runs = study.scenario, study.sweeps
+    names, keys = all_measures(scenario), ["axis", "value", "policy"]
+    rows = [
+        {**dict(zip(keys, key, strict=True)), **_means(own, names, scenario)}
+        for key, own in runs[runs["axis"].isin(axes)].groupby(keys, sort=False)
+    ]
+    return pd.DataFrame(rows)
 
 
-@table(
-    "runs",
-    title="Every run of a policy",
-    reads=("runs",),
-    columns=(),
-)
+@table("runs", title="Every run of a policy", reads=("runs",), columns=())
 def run_table(study: Study) -> pd.DataFrame:
     """Return one row a run: numbers to compute with."""
     runs = pd.concat([study.evaluation, study.cells, study.sweeps], ignore_index=True)
@@ -230,41 +164,28 @@ def comparison_table(study: Study) -> pd.DataFrame:
     runs, scenario = study.evaluation, study.scenario
     policies = list(dict.fromkeys(runs["policy"]))
     baselines = [name for name in (BASELINE, best_classical(runs)) if name in policies]
-    rows = [
-        row
-        for baseline in dict.fromkeys(baselines)
-        for policy in policies
-        if policy != baseline
-        for row in _compared(runs, str(policy), str(baseline), scenario)
-    ]
-    columns = ["policy", "baseline", "measure"]
-    return pd.DataFrame(rows) if rows else pd.DataFrame(columns=columns)
-
-
-def _compared(
-    runs: pd.DataFrame, policy: str, baseline: str, scenario: Scenario
-) -> list[dict[str, Any]]:
-    rows: list[dict[str, Any]] = []
-    own, other = (runs[runs["policy"] == name] for name in (policy, baseline))
-    both = pd.concat([own, other])
-    for name in COMPARED:
-        a, b = paired(own, other, name)
-        rows.append(
-            {
-                "policy": policy,
-                "baseline": baseline,
-                "measure": name,
-                **counts(own),
-                "mean": float(a.mean()),
-                "baseline_mean": float(b.mean()),
-                **interval_columns(
-                    "ratio", paired_log_ratio(a, b, resolution=resolution(name, both, scenario))
-                ),
-                **interval_columns("difference", paired_difference(a, b)),
-                "seeds_below_baseline": int((a < b).sum()),
-            }
-        )
-    return rows
+    rows = []
+    for baseline, policy in product(dict.fromkeys(baselines), policies):
+        if policy == baseline:
+            continue
+        own, other = (runs[runs["policy"] == name] for name in (policy, baseline))
+        for name in COMPARED:
+            a, b = paired(own, other, name)
+            least = resolution(name, pd.concat([own, other]), scenario)
+            rows.append(
+                {
+                    "policy": policy,
+                    "baseline": baseline,
+                    "measure": name,
+                    **counts(own),
+                    "mean": float(a.mean()),
+                    "baseline_mean": float(b.mean()),
+                    **paired_log_ratio(a, b, resolution=least).columns("ratio"),
+                    **paired_difference(a, b).columns("difference"),
+                    "seeds_below_baseline": int((a < b).sum()),
+                }
+            )
+    return pd.DataFrame(rows) if rows else pd.DataFrame(columns=["policy", "baseline", "measure"])
 
 
 def best_classical(runs: pd.DataFrame) -> str | None:
@@ -277,27 +198,22 @@ def best_classical(runs: pd.DataFrame) -> str | None:
     return str(means.mean().idxmin()) if means.ngroups else None
 
 
-def standing(runs: pd.DataFrame) -> pd.DataFrame:
-    """Return by policy how its mean square backlog compares with the best classical scheduler's.
+def _against_best(
+    own: pd.DataFrame, runs: pd.DataFrame, *, improvement: bool = False
+) -> dict[str, Any]:
+    """Return columns of a policy: its mean square backlog against the best classical scheduler's.
 
-    Returns
-    -------
-    DataFrame
-        Columns policy, best_classical, backlog_over_best (bounds _lo, _hi: the typical ratio in the
-        same worlds), and improvement (likewise): the probability that the policy's is less in a
-        world than that of the best classical scheduler in another.
+    The typical ratio in the same worlds and, if wanted, the probability that it is less in a world
+    than that of the scheduler in another; no columns where no classical scheduler was run.
     """
     best = best_classical(runs)
-    rows = []
-    for policy, group in runs.groupby("policy", sort=False):
-        row: dict[str, Any] = {"policy": policy}
-        if best is not None:
-            own, other = paired(group, runs[runs["policy"] == best], BACKLOG)
-            row["best_classical"] = best
-            row |= interval_columns("backlog_over_best", paired_log_ratio(own, other))
-            row |= interval_columns("improvement", probability_of_improvement(own, other))
-        rows.append(row)
-    return pd.DataFrame(rows)
+    if best is None:
+        return {}
+    pair = paired(own, runs[runs["policy"] == best], BACKLOG)
+    row = {"best_classical": best, **paired_log_ratio(*pair).columns("backlog_over_best")}
+    if improvement:
+        row |= probability_of_improvement(*pair).columns("improvement")
+    return row
 
 
 @table(
@@ -311,18 +227,10 @@ def standing(runs: pd.DataFrame) -> pd.DataFrame:
     when=varies(LOAD),
 )
 def score_table(study: Study) -> pd.DataFrame:
-    """Return how the evaluated policies stand over all loads together.
+    """Return how the evaluated policies stand over all loads together, a row each.
 
-    The score of a policy in a world is log(PF / its own) / log(PF / that of the best classical
-    scheduler of the load), of mean square backlogs, both logarithms summed over the loads and the
-    lower one averaged over worlds: 0 as PF, 1 as the best, more where its queues are shorter.
-
-    Returns
-    -------
-    DataFrame
-        Columns policy, loads, seeds (worlds), training_seeds (0 of a rule), score (_lo, _hi),
-        shorter_worlds: the share of worlds, or of pairs of policy and world, in which its mean
-        square backlog is below that of the best classical scheduler of the load.
+    Of the score, both logarithms are summed over the loads and the lower one is averaged over
+    worlds. `shorter_worlds` counts worlds, of a learned policy pairs of policy and world.
     """
     runs = study.evaluation
     along = study.sweeps[study.sweeps["axis"] == axis_of(study.scenario, LOAD)]
@@ -334,23 +242,23 @@ def score_table(study: Study) -> pd.DataFrame:
         number: dict[str, int] = {}
         for _, group in along.groupby("value", sort=False):
             best = best_classical(group)
-            if policy not in set(group["policy"]) or best is None:
-                continue
             by_policy = {str(name): rows for name, rows in group.groupby("policy")}
+            if policy not in by_policy or best is None:
+                continue
             own = by_policy[policy]
             number = counts(own)
-            logs = {
-                name: np.log(paired(own, by_policy[name], BACKLOG)[1])
+            baseline_log, own_log, best_log = (
+                np.log(paired(own, by_policy[name], BACKLOG)[1])
                 for name in (BASELINE, policy, best)
-            }
-            gains.append(logs[BASELINE] - logs[policy])
-            best_gains.append(logs[BASELINE] - logs[best])
-            shorter.append(logs[policy] < logs[best])
+            )
+            gains.append(baseline_log - own_log)
+            best_gains.append(baseline_log - best_log)
+            shorter.append(own_log < best_log)
         if gains:
             most = float(np.sum(best_gains, axis=0).mean())
             scores = np.sum(gains, axis=0) / (most if most > 0.0 else math.nan)
             row = {"policy": policy, "loads": len(gains), **number}
-            row |= interval_columns("score", mean_interval(scores))
+            row |= mean_interval(scores).columns("score")
             rows.append({**row, "shorter_worlds": float(np.mean(shorter))})
     return pd.DataFrame(rows)
 
@@ -365,33 +273,17 @@ def score_table(study: Study) -> pd.DataFrame:
     when=has_cells,
 )
 def generalisation_table(study: Study) -> pd.DataFrame:
-    """Return how policies do where they were not trained, beside the best scheduler there.
-
-    Returns
-    -------
-    DataFrame
-        One row an axis (cell, those of load and scale), value and policy: seeds, training_seeds,
-        measures with their intervals, best_classical, and backlog_over_best: the typical ratio of
-        the mean square backlogs in the same worlds.
-    """
+    """Return a row an axis (cell, those of load and scale), value and policy."""
     scenario = study.scenario
     runs = pd.concat([study.cells, study.sweeps], ignore_index=True)
     axes = ("cell", axis_of(scenario, LOAD), axis_of(scenario, SCALE))
     rows = []
     for axis in filter(None, axes):
         for value, group in runs[runs["axis"] == axis].groupby("value", sort=False):
-            best = best_classical(group)
             for policy, own in group.groupby("policy", sort=False):
                 row: dict[str, Any] = {"axis": axis, "value": value, "policy": policy}
-                row |= counts(own)
-                for name in CELL_MEASURES:
-                    row |= interval_columns(name, measure_interval(name, own, scenario))
-                if best is not None:
-                    row["best_classical"] = best
-                    other = group[group["policy"] == best]
-                    over = paired_log_ratio(*paired(own, other, BACKLOG))
-                    row |= interval_columns("backlog_over_best", over)
-                rows.append(row)
+                row |= _means(own, CELL_MEASURES, scenario)
+                rows.append({**row, **_against_best(own, group)})
     return pd.DataFrame(rows)
 
 
@@ -407,58 +299,41 @@ def generalisation_table(study: Study) -> pd.DataFrame:
     when=has_bound,
 )
 def bound_table(study: Study) -> pd.DataFrame:
-    """Return how far decisions are from the exact optimum of their slots.
+    """Return a row the policy whose states they are, and the decider that is asked there.
 
-    Returns
-    -------
-    DataFrame
-        One row the policy whose states they are and the decider asked there: seeds, slots, gap
-        (value - exact, mean over the slots of a world; interval over worlds), gap_max, gap_share
-        (gaps over sizes of the optima, in all), share_optimal (gaps of 0, to 1e-6 of the optimum),
-        uncertified (largest exact - bound), and of the first PRBs alone, greedy - exact: sums over
-        users of the Lagrangian (first_gap) and of the logarithm of the rate.
+    Gaps are value - exact, means over the slots of a world. `gap_share`: gaps over sizes of the
+    optima, in all; `share_optimal`: gaps of 0, to 1e-6 of the optimum; `uncertified`: largest
+    exact - bound. Those of the first PRBs alone, greedy - exact, are sums over users.
     """
-    slots = study.bound
     rows = []
-    for (policy, decider), group in slots.groupby(["policy", "decider"], sort=False):
-        gap = group["value"] - group["exact"]
-        size = 1.0 + group["exact"].abs()
-        by_world = group.assign(gap=gap).groupby("seed")
-        first = group["first_lagrangian_greedy"] - group["first_lagrangian_exact"]
-        log_rate = group["first_log_rate_greedy"] - group["first_log_rate_exact"]
+    for (policy, decider), group in study.bound.groupby(["policy", "decider"], sort=False):
+        gaps = pd.DataFrame({"gap": group["value"] - group["exact"]})
+        for name, of in (("first_gap", "lagrangian"), ("first_log_rate_gap", "log_rate")):
+            gaps[name] = group[f"first_{of}_greedy"] - group[f"first_{of}_exact"]
+        by_world = gaps.groupby(group["seed"]).mean()
+        gap, size = gaps["gap"], group["exact"].abs()
         rows.append(
             {
                 "states_of": policy,
                 "decider": decider,
-                "seeds": by_world.ngroups,
+                "seeds": len(by_world),
                 "slots": len(group),
-                **interval_columns("gap", mean_interval(by_world["gap"].mean())),
+                **mean_interval(by_world["gap"]).columns("gap"),
                 "gap_max": float(gap.max()),
-                "gap_share": float(gap.sum() / group["exact"].abs().sum()),
-                "share_optimal": float((gap <= 1e-6 * size).mean()),
+                "gap_share": float(gap.sum() / size.sum()),
+                "share_optimal": float((gap <= 1e-6 * (1.0 + size)).mean()),
                 "uncertified": float((group["exact"] - group["bound"]).max()),
-                **interval_columns("first_gap", _by_world(first, group["seed"])),
-                **interval_columns("first_log_rate_gap", _by_world(log_rate, group["seed"])),
+                **mean_interval(by_world["first_gap"]).columns("first_gap"),
+                **mean_interval(by_world["first_log_rate_gap"]).columns("first_log_rate_gap"),
             }
         )
     return pd.DataFrame(rows)
-
-
-def _by_world(values: pd.Series, seeds: pd.Series) -> Interval:
-    means: Sequence[float] = values.groupby(seeds).mean().to_list()
-    return mean_interval(means)
 
 
 def differing_keys(scenario: Scenario, learner: str) -> dict[str, Any]:
     """Return the keys of a learner that differ from the section `learning`, with their values."""
     base, own = asdict(scenario.learning), asdict(scenario.learned[learner])
     return {key: value for key, value in own.items() if value != base[key]}
-
-
-def differing_text(scenario: Scenario, learner: str) -> str:
-    """Return these keys as a line: ``network = mlp``; ``as configured`` where there are none."""
-    keys = differing_keys(scenario, learner)
-    return ", ".join(f"{key} = {value}" for key, value in keys.items()) or "as configured"
 
 
 @table(
@@ -473,42 +348,30 @@ def differing_text(scenario: Scenario, learner: str) -> str:
 def learner_table(study: Study) -> pd.DataFrame:
     """Return what every learner reaches at every load, and how far that is from the own one's.
 
-    Returns
-    -------
-    DataFrame
-        One row a load and learner: load, learner, differs (the keys), seeds (worlds),
-        training_seeds, then for every measure its mean over policies and worlds and how it compares
-        with the own learner: the mean of the paired differences (suffix ``_minus_own``) of rates,
-        the typical ratio (``_over_own``) of what is skewed, with bounds ``_lo`` and ``_hi``. Worlds
-        are paired, and so are training seeds, the k-th with the k-th.
+    Symmetric measures are compared by paired differences (suffix ``_minus_own``), skewed ones by
+    typical ratios (``_over_own``).
     """
     scenario, sweeps = study.scenario, study.sweeps
-    rows = []
-    own = scenario.learning.algorithm
-    axis = axis_of(scenario, LOAD)
-    along = sweeps[(sweeps["axis"] == axis) & sweeps["policy"].isin(list(scenario.learned))]
+    along = sweeps[sweeps["axis"] == axis_of(scenario, LOAD)]
+    own, rows = scenario.learning.algorithm, []
     for load, group in along.groupby("value", sort=False):
-        by_learner = {str(name): runs for name, runs in group.groupby("policy")}
-        for learner in scenario.learned:
-            if learner not in by_learner:
-                continue
-            row: dict[str, Any] = {
-                "load": load,
-                "learner": learner,
-                "differs": differing_text(scenario, learner),
-                **counts(by_learner[learner]),
-            }
+        by_policy = {str(name): runs for name, runs in group.groupby("policy")}
+        for learner in (name for name in scenario.learned if name in by_policy):
+            runs = by_policy[learner]
+            row: dict[str, Any] = {"load": load, "learner": learner}
+            keys = differing_keys(scenario, learner)
+            differs = ", ".join(f"{key} = {value}" for key, value in keys.items())
+            row |= {"differs": differs or "as configured", **counts(runs)}
             for measure in CELL_MEASURES:
-                runs = by_learner[learner]
-                row |= interval_columns(measure, measure_interval(measure, runs, scenario))
-                if learner != own and own in by_learner:
-                    values, base = paired(runs, by_learner[own], measure)
-                    if measure in SYMMETRIC:
-                        gain = paired_difference(values, base)
-                        row |= interval_columns(f"{measure}_minus_own", gain)
-                    else:
-                        least = resolution(measure, runs, scenario)
-                        over = paired_log_ratio(values, base, resolution=least)
-                        row |= interval_columns(f"{measure}_over_own", over)
+                row |= measure_interval(measure, runs, scenario).columns(measure)
+                if learner == own or own not in by_policy:
+                    continue
+                pair = paired(runs, by_policy[own], measure)
+                if measure in SYMMETRIC:
+                    row |= paired_difference(*pair).columns(f"{measure}_minus_own")
+                else:
+                    least = resolution(measure, runs, scenario)
+                    over = paired_log_ratio(*pair, resolution=least)
+                    row |= over.columns(f"{measure}_over_own")
             rows.append(row)
     return pd.DataFrame(rows)
