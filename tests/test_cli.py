@@ -133,6 +133,7 @@ def test_a_study_is_snakemakes(
     assert "error: it's mine.yaml: learning.seeds" in "".join(capfd.readouterr())
 
 
+@pytest.mark.nightly
 def test_a_new_folder_runs_as_its_readme_says(tmp_path: Path, project_root: Path) -> None:
     """In processes of their own: a plug-in stays where it has been imported."""
 

@@ -501,7 +501,7 @@ def test_a_table_a_figure_and_a_claim_of_a_plugin(shown: tuple[str, str]) -> Non
     assert (results / "figures/figX_jitter.png").stat().st_size > 10_000
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_the_workflow_has_a_job_for_each(shown: tuple[str, str]) -> None:
     """The page's command, as a plan."""
     words = shown[0].replace("--snakemake='", "--snakemake='-n ").strip()

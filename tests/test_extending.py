@@ -140,6 +140,7 @@ def run_python(folder: Path, project_root: Path, *words: str) -> subprocess.Comp
 # The pages.
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("page", PAGES)
 def test_a_page_runs_from_top_to_bottom(page, project_root, folder):
     """As a reader would: files in a folder, a new process. A failure names the page's line."""
@@ -178,6 +179,7 @@ def test_streams_of_the_pages_are_free_and_different(project_root):
 POLICY = {"scheduler": "steep"}
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("page", MODELS)
 def test_batches_of_one_and_three_give_the_same_bits(page, tiny_with):
     scenario, policy = tiny_with(page), POLICY.get(page, "pf")
@@ -190,6 +192,7 @@ def test_batches_of_one_and_three_give_the_same_bits(page, tiny_with):
             assert values.tobytes() == whole.environment(world)[name].tobytes(), name
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("page", MODELS)
 def test_models_keep_the_rules(page, tiny_with):
     check_models(tiny_with(page), (POLICY.get(page, "pf"), "round_robin"), 60)
@@ -200,6 +203,7 @@ def replays(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert "slots computed again, every bit the same" in capsys.readouterr().out
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("pages", "policies"),
     [
@@ -219,6 +223,7 @@ def test_a_log_of_a_plugin_replays(pages, policies, tiny_with, folder, capsys):
         replays(results / f"runs/evaluate/{policy}/seed11.mcap", capsys)
 
 
+@pytest.mark.nightly
 def test_the_learner_trains_runs_and_replays(tiny_with, folder, capsys):
     from hiersched.experiments.learned import learned_policies
     from hiersched.experiments.train import train_and_log
@@ -245,6 +250,7 @@ def test_the_learner_trains_runs_and_replays(tiny_with, folder, capsys):
     replays(results / "runs/evaluate/evolved/seed11.mcap", capsys)
 
 
+@pytest.mark.nightly
 def test_an_edited_plugin_is_compiled_anew(tiny_with, folder):
     """Even one whose file keeps its size and its time: the index of Numba's cache sees no more."""
     scenario = tiny_with("channel")
@@ -402,6 +408,7 @@ MISTAKES = {
 CASES = [(page, mistake) for page, mistakes in MISTAKES.items() for mistake in mistakes]
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(("page", "mistake"), CASES)
 def test_a_mistake_gives_its_message(page, mistake, tiny_with, project_root):
     *texts, message = mistake
@@ -419,6 +426,7 @@ def test_a_message_stands_on_its_page(page, mistake, project_root):
     assert re.sub(r"\d+", "0", mistake[-1]) in re.sub(r"\d+", "0", text)
 
 
+@pytest.mark.nightly
 def test_draws_that_a_decision_changes_are_found(tiny_with):
     edit = "fresh * np.float64(", "fresh * (1.0 + slot.prb_owner[0]) * np.float64("
     with pytest.raises(ModelCheckError, match="decisions of pf and round_robin change the draws"):
@@ -428,7 +436,7 @@ def test_draws_that_a_decision_changes_are_found(tiny_with):
 # The pipeline.
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_snakemake_runs_a_study_of_plugins(tiny_with, folder, project_root, capsys):
     """Gains, kernels and the evaluation of a study with four plug-ins; the rest is planned."""
     scenario = tiny_with("scheduler", "channel", "traffic", evaluate={"policies": ["steep", "pf"]})

@@ -32,6 +32,7 @@ PAGES = {
 """Page -> what is put in place of what."""
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("page", PAGES)
 def test_snippets_run_from_top_to_bottom(page, project_root, monkeypatch):
     """Each block is compiled with its line numbers, so that a failure names the page's line."""

@@ -194,7 +194,7 @@ def test_infeasible_delays_are_explicit(make_network_plant):
     np.testing.assert_array_equal(table.gains, np.stack([plant.nominal_gain] * 2))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_c1_schedule_of_the_split_plant(make_split_plant):
     table = build_schedule(make_split_plant(100.0, 0.3), 12, "razumikhin", decay_rate=0.03)
     assert table.certified.all()
@@ -218,7 +218,7 @@ def test_other_sampling_intervals(make_network_plant, sampling_s, first_unstable
         assert design.status == ("adjusted" if delay >= first else "nominal")
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_long_table_of_a_short_sampling_interval(make_network_plant):
     table = build_schedule(make_network_plant(sampling_s=0.01), 24)
     assert table.certified.all()

@@ -359,7 +359,7 @@ def result(values, *, cached):
     return {"values": values, "hits": int(cached), "misses": int(not cached)}
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_plugin_is_compiled_once_and_anew_when_anything_of_it_changes(processes, files):
     paths, edit = files
     edits = [
@@ -375,7 +375,7 @@ def test_a_plugin_is_compiled_once_and_anew_when_anything_of_it_changes(processe
         assert processes(USE, paths["plugin"])[0] == result(values, cached=True)
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_an_edit_after_the_import_does_not_poison_the_cache(processes, files):
     """The process goes on with what it has loaded; the next one must not take that for the new."""
     paths, _ = files
@@ -436,7 +436,7 @@ print(json.dumps({"most": most, "bits": bits}))
 """
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 def test_a_deleted_plugin_disturbs_no_other_run(processes, project_root, tmp_path):
     """With the cache that it left, the built-in models run as before, and from that cache."""
     file = tmp_path / "seam_rule.py"

@@ -162,7 +162,7 @@ for network, hidden in {cases!r}:
 TARGET_CASES = (("shared", (64, 37)), ("mlp", (37, 64)))
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.skipif(
     not llvmlite.binding.get_host_cpu_features().get("avx2"), reason="a processor without AVX2"
 )

@@ -30,7 +30,7 @@ def test_every_shipped_scenario_has_its_gains_and_no_others_are_there():
     assert {shipped_file(load_scenario(name)) for name in SCENARIOS} == set(SHIPPED.iterdir())
 
 
-@pytest.mark.slow
+@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["smoke", "linear_plant"])
 def test_shipped_gains_are_those_that_the_design_gives(name):
     """`make gains` writes them. On another processor the last digits differ."""

@@ -134,6 +134,7 @@ def crossed(parts: tuple[float, float, float], count: int, spread: float = SPREA
     return spread * sum(draws)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("parts", "ratio", "width"),
     [
@@ -163,6 +164,7 @@ def test_shares_of_policies_crossed_with_worlds_are_covered(
             assert alone.inside < 0.9
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("where", ["policies", "worlds", "pairs"])
 def test_zeros_of_policies_worlds_and_pairs_are_covered(where: str) -> None:
     """Three in ten are 0, and half of the logarithms' variance is each of both."""
@@ -176,6 +178,7 @@ def test_zeros_of_policies_worlds_and_pairs_are_covered(where: str) -> None:
     assert pivotal.too_low <= 0.025 + error(0.025, count)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("parts", "most"),
     [

@@ -12,7 +12,7 @@ import pytest
 
 from hiersched.scenario import load_scenario
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.nightly
 
 SMOKE = "src/hiersched/config/scenarios/smoke.yaml"
 MINE = """
