@@ -77,7 +77,6 @@ def test_riccati_residual_vanishes_and_the_loop_is_stable(system):
         np.testing.assert_allclose(total, S, rtol=1e-6, atol=1e-8 * np.linalg.norm(S))
 
 
-@pytest.mark.slow
 def test_agrees_with_python_control():
     import control
 

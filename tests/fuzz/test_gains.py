@@ -18,6 +18,7 @@ from hiersched.experiments.gains import load_gains
 from hiersched.experiments.logged import _schedule
 from hiersched.scenario import Scenario, load_scenario
 from hiersched.simulator.gain_source import design_schedule, read_gains, scenario_schedule
+from hiersched.study.study import Study
 
 METHODS = ("krasovskii", "razumikhin", "predictor", "latency_compensated", "h2")
 Document = dict[str, Any]
@@ -150,12 +151,14 @@ def test_every_way_to_load_gains_checks_them(tmp_path: Path) -> None:
     scenario, text = designed("krasovskii")
     document = unseal_json(text.encode())
     scale_last(1.01)(document)
-    path = tmp_path / "schedule.json"
+    path = tmp_path / "gains/schedule.json"
+    path.parent.mkdir()
     for content in (seal_json(document), text.replace("1", "2", 1)):
         path.write_text(content)
         for load in (
             lambda: load_gains(path, scenario),
             lambda: _schedule(path.read_bytes(), scenario),
+            lambda: Study(scenario, tmp_path).schedule(scenario),
         ):
             with pytest.raises(ValueError, match=r"certificate for T=\d|checksum"):
                 load()

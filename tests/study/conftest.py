@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from hiersched.log import TOPICS, LogDims, LogWriter
 from hiersched.scenario import Scenario, load_scenario
 from hiersched.scenario.schema import checkpoint_rounds
 from hiersched.simulator.loop_gains import plant_of
+from hiersched.study import study as study_module
 from hiersched.study.built_in import shown
 from hiersched.study.fifo import backlog_path, deadline_in_slots, late_packets
 from hiersched.study.measure import measure, measured_groups
@@ -65,6 +66,18 @@ WRITTEN_FIGURES = ("fig8_violations", "figX_gain_grid")
 
 DIMS = LogDims(num_urllc=2, num_embb=1, num_prb=4)
 Fields = dict[str, Any]
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _unverified_gains() -> Iterator[None]:
+    """Take made-up gains as they are: their verdicts are planted, and fit no plant."""
+
+    def read(path: Path, scenario: Scenario) -> GainSchedule:
+        return GainSchedule.from_json(path.read_text(encoding="utf-8"))
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(study_module, "read_gains", read)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -177,7 +177,6 @@ def test_windows_are_root_mean_squares_of_their_slots() -> None:
     assert windows == pytest.approx(np.array(naive))
 
 
-@pytest.mark.slow
 def test_the_recomputed_counts_are_the_simulators(
     smoke_scenario: Scenario,
     nominal_gains: Callable[..., Any],

@@ -15,8 +15,6 @@ from hiersched.study.built_in import shown
 from hiersched.study.registry import CLAIMS, FIGURES, TABLES
 from hiersched.study.show import show
 
-pytestmark = pytest.mark.slow
-
 AXES = {
     "traffic.packet_bits": ["10000.0", "20000.0"],
     "loss": ["none", "my_power_law-exponent-3"],
@@ -30,6 +28,7 @@ def sweeps(finished: Path) -> pd.DataFrame:
     return pd.read_csv(finished / "tables/sweeps.csv", dtype={"value": str})
 
 
+@pytest.mark.nightly
 def test_every_point_of_every_axis_is_a_row(sweeps: pd.DataFrame) -> None:
     assert list(dict.fromkeys(sweeps["axis"])) == list(AXES)
     for axis, values in AXES.items():
@@ -40,6 +39,7 @@ def test_every_point_of_every_axis_is_a_row(sweeps: pd.DataFrame) -> None:
     assert (sweeps["seeds"] == 2).all()
 
 
+@pytest.mark.nightly
 def test_rows_show_what_the_swept_key_does(sweeps: pd.DataFrame) -> None:
     """Without loss rates are higher; the same loss twice is the same; eMBB users take PRBs."""
     pf = sweeps[sweeps["policy"] == "pf"].set_index(["axis", "value"])["urllc_rate_mbps"]
@@ -51,6 +51,7 @@ def test_rows_show_what_the_swept_key_does(sweeps: pd.DataFrame) -> None:
     assert bits["10000.0"] != bits["20000.0"]
 
 
+@pytest.mark.nightly
 def test_logs_of_points_carry_the_scenario_of_their_point(finished: Path) -> None:
     for point, exponent in (("loss/my_power_law-exponent-3", 3.0), ("both/2_1", 2.0)):
         with LogReader(finished / f"runs/{point}/pf/seed21.mcap") as log:
@@ -61,12 +62,14 @@ def test_logs_of_points_carry_the_scenario_of_their_point(finished: Path) -> Non
         assert log.dims.num_embb == 2
 
 
+@pytest.mark.nightly
 def test_a_table_of_a_plugin_is_made(finished: Path) -> None:
     table = pd.read_csv(finished / "tables/mine.csv")
     assert list(table["policy"]) == ["edf", "pf"]
     assert "Mine." in (finished / "tables/mine.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.nightly
 def test_a_study_without_learners_and_gains_shows_all_it_plans(
     finished: Path, study: Path, tmp_path: Path
 ) -> None:
