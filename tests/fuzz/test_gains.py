@@ -18,7 +18,7 @@ from hiersched.experiments.gains import load_gains
 from hiersched.experiments.logged import _schedule
 from hiersched.scenario import Scenario, load_scenario
 from hiersched.simulator.gain_source import design_schedule, read_gains, scenario_schedule
-from hiersched.study.study import Study
+from hiersched.study import study
 
 METHODS = ("krasovskii", "razumikhin", "predictor", "latency_compensated", "h2")
 Document = dict[str, Any]
@@ -146,8 +146,11 @@ def test_gains_of_another_method_are_refused(tmp_path: Path, given: str, wanted:
         read_gains(path, scenario)
 
 
-def test_every_way_to_load_gains_checks_them(tmp_path: Path) -> None:
-    """The stages of the study; a log; what the package ships is read by `read_gains`."""
+def test_every_way_to_load_gains_checks_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The stages of the study; a log; tables. What the package ships is read by `read_gains`."""
+    monkeypatch.setattr(study, "read_gains", read_gains)  # tests of the study replace it
     scenario, text = designed("krasovskii")
     document = unseal_json(text.encode())
     scale_last(1.01)(document)
@@ -158,7 +161,7 @@ def test_every_way_to_load_gains_checks_them(tmp_path: Path) -> None:
         for load in (
             lambda: load_gains(path, scenario),
             lambda: _schedule(path.read_bytes(), scenario),
-            lambda: Study(scenario, tmp_path).schedule(scenario),
+            lambda: study.Study(scenario, tmp_path).schedule(scenario),
         ):
             with pytest.raises(ValueError, match=r"certificate for T=\d|checksum"):
                 load()

@@ -68,7 +68,7 @@ DIMS = LogDims(num_urllc=2, num_embb=1, num_prb=4)
 Fields = dict[str, Any]
 
 
-@pytest.fixture(scope="package", autouse=True)
+@pytest.fixture(scope="session", autouse=True)
 def _unverified_gains() -> Iterator[None]:
     """Take made-up gains as they are: their verdicts are planted, and fit no plant."""
 
