@@ -177,3 +177,29 @@ def test_out_of_a_log_that_is_no_run(tmp_path: Path, run: Any) -> None:
     words = ("replay", write_log(tmp_path / "a.mcap"), "--out", tmp_path / "x.mcap")
     assert run(*words)[0] == 2
     assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
+
+
+def test_no_file_is_overwritten_unless_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    log_path = write_log(tmp_path / "a.mcap")
+    folder = tmp_path / "tables"
+    export = ["export", str(log_path), "--csv", "--topic", "/queue", "--out", str(folder)]
+    assert main(export) == 0
+    written = (folder / "queue.csv").read_bytes()
+    (folder / "queue.csv").write_text("mine")
+    capsys.readouterr()
+    assert main(export) == 2
+    assert "queue.csv: exists; --overwrite replaces it" in capsys.readouterr().err
+    assert (folder / "queue.csv").read_text() == "mine"
+    assert main([*export, "--overwrite"]) == 0
+    assert (folder / "queue.csv").read_bytes() == written
+    viewer = ["export", str(log_path), "--viewer", "--out", str(folder)]
+    (folder / "foxglove.json").write_text("mine")
+    assert main(viewer) == 2
+    assert (folder / "foxglove.json").read_text() == "mine"
+    log = tmp_path / "mine.mcap"
+    log.write_text("mine")
+    assert main(["run", "smoke", "--policy", "pf", "--seconds", "1", "--out", str(log)]) == 2
+    assert "mine.mcap: exists; --overwrite replaces it" in capsys.readouterr().err
+    assert log.read_text() == "mine"

@@ -98,3 +98,12 @@ def test_check_warns_where_service_keeps_arrivals_away(tmp_path, capsys):
     assert lines[2].startswith("warning: traffic.arrivals: for every packet that a URLLC user")
     assert main(["scenario", "check", "paper"]) == 0
     assert "warning" not in capsys.readouterr().out
+
+
+def test_entries_of_matrices_may_be_as_small_as_rounding_leaves_them(tmp_path):
+    path = tmp_path / "mine.yaml"
+    shipped = load_scenario("linear_plant")
+    rows = [list(row) for row in shipped.plant.A]
+    rows[0][-1] = 1e-17
+    path.write_text(f"extends: linear_plant\nplant: {{A: {rows}}}\n", encoding="utf-8")
+    assert load_scenario(path).plant.A[0][-1] == 1e-17

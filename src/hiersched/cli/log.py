@@ -8,7 +8,9 @@ from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hiersched.cli.options import add_overwrite
 from hiersched.core.faults import blaming_input
+from hiersched.core.files import refuse_existing
 
 if TYPE_CHECKING:
     from hiersched.log import LogReader
@@ -36,6 +38,8 @@ def add_commands(commands: Any) -> None:
             parser.add_argument("--save", metavar="FILE", help=text)
         if name == "export":
             _add_export_options(parser)
+        if name in ("view", "export"):
+            add_overwrite(parser)
     text = "print the schema of the logs that this version writes, as a .proto file"
     commands.add_parser("schema", help=text, description=text).set_defaults(command=_schema)
 
@@ -156,11 +160,12 @@ def _export(parsed: argparse.Namespace) -> int:
     source = Path(parsed.log)
     folder = Path(parsed.out) if parsed.out else source.with_suffix("")
     if parsed.form == "viewer":
-        written = export_for_viewers(source, folder)
+        with blaming_input(FileExistsError):
+            written = export_for_viewers(source, folder, overwrite=parsed.overwrite)
     else:
-        span = parsed.start, parsed.stop
-        with blaming_input():
-            written = export_tables(source, folder, parsed.form, parsed.topic, *span)
+        rows = parsed.topic, parsed.start, parsed.stop
+        with blaming_input((ValueError, FileExistsError)):
+            written = export_tables(source, folder, parsed.form, *rows, overwrite=parsed.overwrite)
     for path in written:
         print(path)
     return 0
@@ -169,5 +174,8 @@ def _export(parsed: argparse.Namespace) -> int:
 def _view(parsed: argparse.Namespace) -> int:
     from hiersched.replay.view import show_in_rerun
 
+    if parsed.save:
+        with blaming_input(FileExistsError):
+            refuse_existing(parsed.save, overwrite=parsed.overwrite)
     show_in_rerun(parsed.log, parsed.save)
     return 0

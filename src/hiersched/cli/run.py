@@ -15,8 +15,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hiersched.cli.options import add_overwrite
 from hiersched.core.extras import MissingExtraError
-from hiersched.core.faults import InputError
+from hiersched.core.faults import InputError, blaming_input
+from hiersched.core.files import refuse_existing
 
 if TYPE_CHECKING:
     from hiersched.scenario import Scenario
@@ -52,6 +54,7 @@ def add_commands(commands: Any) -> None:
         ("snakemake", shlex.split, "WORDS", words),
     ):
         run.add_argument(f"--{name}", type=kind, metavar=metavar, help=text)
+    add_overwrite(run)
     run.set_defaults(command=_run)
 
 
@@ -96,6 +99,9 @@ def _world(parsed: argparse.Namespace) -> int:
         raise InputError(f"--seconds {seconds:g}: must be a slot of {slot_s:g} s or more")
     default = Path("results", scenario.name, "worlds", f"{parsed.policy}_seed{seed}.mcap")
     path = default if parsed.out is None else Path(parsed.out)
+    if parsed.out is not None:
+        with blaming_input(FileExistsError):
+            refuse_existing(path, overwrite=parsed.overwrite)
     try:
         _log_world(path, scenario, parsed.policy, seed, seconds)
     except ValueError as error:

@@ -10,6 +10,13 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
+def refuse_existing(*paths: str | os.PathLike[str], overwrite: bool = False) -> None:
+    """Raise FileExistsError if a file exists already, unless it is to be overwritten."""
+    for path in paths:
+        if os.path.exists(path) and not overwrite:
+            raise FileExistsError(f"{path}: exists; --overwrite replaces it")
+
+
 def write_bytes(path: Path, data: bytes) -> Path:
     """Write a file under another name first and rename it then; return its path.
 

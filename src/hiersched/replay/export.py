@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hiersched.core.extras import naming_extras
-from hiersched.core.files import write_bytes
+from hiersched.core.files import refuse_existing, write_bytes
 from hiersched.log import LogReader, topic_frame
 from hiersched.log.schema import EVENTS_TOPIC
 
@@ -23,6 +23,8 @@ def export_tables(
     topics: Sequence[str] | None = None,
     start_s: float = 0.0,
     stop_s: float = math.inf,
+    *,
+    overwrite: bool = False,
 ) -> list[Path]:
     """Write topics as tables, ``queue.csv`` and so on, each file whole or not at all.
 
@@ -32,6 +34,8 @@ def export_tables(
 
     Raises
     ------
+    FileExistsError
+        If one of the files is there already, unless told to `overwrite` it.
     LogError
         If the log is damaged or has no such topic.
     MissingExtraError
@@ -46,31 +50,39 @@ def export_tables(
             import pyarrow  # noqa: F401
     written = []
     with LogReader(path) as log:
-        for topic in topics or [*log.topics, EVENTS_TOPIC]:
+        files = {
+            topic: Path(folder, f"{topic.removeprefix('/').replace('/', '_')}.{form}")
+            for topic in topics or [*log.topics, EVENTS_TOPIC]
+        }
+        refuse_existing(*files.values(), overwrite=overwrite)
+        for topic, file in files.items():
             table = topic_frame(log, topic, None, start_s, stop_s)
             if form == "parquet":
                 data = table.to_parquet(index=False)
             else:
                 # float32 as the shortest text that reads back to the same float32, as doubles are.
                 data = table.to_csv(index=False).encode()
-            name = topic.removeprefix("/").replace("/", "_")
-            written.append(write_bytes(Path(folder, f"{name}.{form}"), data))
+            written.append(write_bytes(file, data))
     return written
 
 
-def export_for_viewers(path: str | os.PathLike[str], folder: str | os.PathLike[str]) -> list[Path]:
+def export_for_viewers(
+    path: str | os.PathLike[str], folder: str | os.PathLike[str], *, overwrite: bool = False
+) -> list[Path]:
     """Write what Foxglove and other viewers open beside a log into a folder, which is made.
 
     ``viewer.mcap`` has poses and images of the allocation, ``foxglove.json`` a layout for both
-    files. LogError if the log is damaged, or lacks what is to be drawn.
+    files. LogError if the log is damaged, or lacks what is to be drawn; FileExistsError if one of
+    the files is there already, unless told to `overwrite` it.
     """
     from hiersched.replay.view import foxglove_layout
     from hiersched.replay.viewer_topics import write_viewer_topics
 
     with LogReader(path) as log:
         layout = foxglove_layout(log.dims)
-    topics = Path(folder, "viewer.mcap")
+    topics, plan = Path(folder, "viewer.mcap"), Path(folder, "foxglove.json")
+    refuse_existing(topics, plan, overwrite=overwrite)
     topics.parent.mkdir(parents=True, exist_ok=True)
     write_viewer_topics(path, topics)
     text = json.dumps(layout, indent=2) + "\n"
-    return [topics, write_bytes(Path(folder, "foxglove.json"), text.encode())]
+    return [topics, write_bytes(plan, text.encode())]

@@ -76,18 +76,23 @@ def inconsistencies(scenario: Scenario, *, swept: bool = False) -> list[str]:
     return faults
 
 
-def _magnitudes(data: Any, place: str = "") -> list[str]:
-    """List numbers that no quantity of a cell or a robot has: their products may overflow."""
+def _magnitudes(data: Any, place: str = "", *, least: float = LEAST) -> list[str]:
+    """List numbers that no quantity of a cell or a robot has: their products may overflow.
+
+    Entries of matrices and points may be as small as rounding leaves them.
+    """
     if isinstance(data, Mapping | list | tuple):
         items = data.items() if isinstance(data, Mapping) else enumerate(data)
+        is_matrix = not isinstance(data, Mapping) and any(isinstance(v, tuple) for v in data)
+        inner = 0.0 if is_matrix else least
         return [
             fault
             for key, value in items
-            for fault in _magnitudes(value, f"{place}.{key}".lstrip("."))
+            for fault in _magnitudes(value, f"{place}.{key}".lstrip("."), least=inner)
         ]
-    if isinstance(data, bool) or not isinstance(data, int | float):
+    if isinstance(data, bool) or not isinstance(data, int | float) or not math.isfinite(data):
         return []
-    if data == 0 or not math.isfinite(data) or LEAST <= abs(data) <= GREATEST:
+    if data == 0 or least <= abs(data) <= GREATEST:
         return []
     return [f"{place} = {data}: must be 0, or from {LEAST:g} to {GREATEST:g} in magnitude"]
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
+from difflib import get_close_matches
 from functools import reduce
 from operator import getitem
 from pathlib import Path
@@ -78,10 +79,19 @@ def _fault(
         message = new_key(key, value) or "unknown key"
         allowed = allowed_keys(location[:-1], merged) if allowed is None else allowed
         if message == "unknown key" and allowed:
-            message += f"; allowed: {', '.join(allowed)}"
+            message += f"; allowed: {', '.join(allowed)}{meant(str(location[-1]), allowed)}"
     elif isinstance(value, str) and re.fullmatch(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+", value):
         message += " (YAML takes 1e-3 and 1.0e6 for text: write 1.0e-3, 1.0e+6)"
     return f"{key} = {value!r}: {message}"
+
+
+def meant(name: str, allowed: Sequence[str]) -> str:
+    """Ask for the key that was probably meant: one much like it here, or its like elsewhere."""
+    elsewhere = {key: f"{place}.{key}" for place, keys in section_keys().items() for key in keys}
+    found = get_close_matches(name, allowed, n=1) or [
+        elsewhere[key] for key in get_close_matches(name, elsewhere, n=1, cutoff=0.8)
+    ]
+    return f"; did you mean {found[0]}?" if found else ""
 
 
 def _holds(data: Any, location: Location) -> bool:

@@ -15,7 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from hiersched.models.model import SECTIONS
 from hiersched.scenario.consistency import inconsistencies
-from hiersched.scenario.fault_text import ScenarioError, allowed_keys, describe, section_keys
+from hiersched.scenario.fault_text import ScenarioError, allowed_keys, describe, meant, section_keys
 from hiersched.scenario.old_keys import converted
 from hiersched.scenario.plugins import CONFIG, load_plugins
 from hiersched.scenario.reference_file import ReferenceFileError, read_reference
@@ -220,6 +220,7 @@ def with_values(scenario: Scenario, values: Mapping[str, Any], where: str) -> Sc
                 raise ScenarioError(
                     f"{where}.{key}: unknown key; allowed in "
                     f"{'.'.join(passed) or 'a scenario'}: {', '.join(known) or 'none'}"
+                    f"{meant(part, known)}"
                 )
             holder, inner = inner, inner[part]
             passed.append(part)

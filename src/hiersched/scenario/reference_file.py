@@ -18,7 +18,10 @@ from hiersched.models.plant.reference import arc_lengths, displacements, turns
 from hiersched.scenario.schema import Scenario
 
 COLUMNS = ("t", "x", "y", "theta")
-LEAST_ROWS = 2
+LEAST_ROWS, MOST_ROWS = 2, 100_000
+MOST_BYTES = 20_000_000
+GREATEST = 1e9
+"""Of a time [s], a place [m] or a heading [rad]."""
 SIDEWAYS_SHARE = 0.05
 SIDEWAYS_M = 0.001
 """A row may lie beside the arc to it by this share of the distance, plus this much for rounding."""
@@ -42,10 +45,15 @@ def read_reference(path: Path) -> tuple[Point, ...]:
     ReferenceFileError if it cannot be read, its header is another, or a value is no finite number.
     """
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
+        with path.open("rb") as file:
+            data = file.read(MOST_BYTES + 1)
+        if len(data) > MOST_BYTES:
+            raise ValueError(f"it has more than {MOST_BYTES} bytes")
+        rows = list(csv.reader(data.decode("utf-8-sig").splitlines()))
+        if len(rows) > MOST_ROWS + 1:
+            raise ValueError(f"it has {len(rows) - 1} rows, must have {MOST_ROWS} or fewer")
+    except (OSError, ValueError, csv.Error) as error:
         raise ReferenceFileError(f"{path}: cannot be read: {error}") from error
-    rows = list(csv.reader(text.splitlines()))
     header = tuple(cell.strip() for cell in rows[0]) if rows else ()
     if header != COLUMNS:
         raise ReferenceFileError(
@@ -65,9 +73,10 @@ def _point(path: Path, number: int, row: Sequence[str]) -> Point:
             value = float(cell)
         except ValueError:
             value = math.nan
-        if not math.isfinite(value):
+        if not abs(value) <= GREATEST:  # no number either
             raise ReferenceFileError(
-                f"{path}: row {number}, column {column}: {cell!r}: must be a finite number"
+                f"{path}: row {number}, column {column}: {cell!r:.60}: must be a number within "
+                f"{GREATEST:g}"
             )
         values.append(value)
     t, x, y, theta = values
