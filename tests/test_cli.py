@@ -118,6 +118,7 @@ def test_what_cannot_run_is_one_message(
     assert message in capsys.readouterr().err
 
 
+@pytest.mark.nightly
 def test_a_study_is_snakemakes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture
 ) -> None:

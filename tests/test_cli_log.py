@@ -179,9 +179,7 @@ def test_out_of_a_log_that_is_no_run(tmp_path: Path, run: Any) -> None:
     assert [p.name for p in tmp_path.iterdir()] == ["a.mcap"]
 
 
-def test_no_file_is_overwritten_unless_told(
-    tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_no_file_is_overwritten_unless_told(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
     log_path = write_log(tmp_path / "a.mcap")
     folder = tmp_path / "tables"
     export = ["export", str(log_path), "--csv", "--topic", "/queue", "--out", str(folder)]

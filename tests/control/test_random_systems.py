@@ -30,6 +30,7 @@ def _random_plant(rng):
     )
 
 
+@pytest.mark.nightly
 def test_c1_accepts_no_gain_that_a_delay_destabilises_and_rejects_none_silently(caplog):
     seen = collections.Counter()
     for index in range(COUNT):

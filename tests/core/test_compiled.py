@@ -32,6 +32,7 @@ print(sum(entry_in_force.stats.cache_hits.values()))
 """
 
 
+@pytest.mark.nightly
 def test_a_class_that_is_not_there_any_more_disturbs_no_kernel(project_root, tmp_path):
     """Numba reads all entries of an index at once, and fails where one names a class in vain."""
     path = os.pathsep.join((str(tmp_path), str(project_root / "src")))

@@ -44,7 +44,9 @@ def mutants(count: int) -> Iterator[bytes]:
         cells.insert(0, ["t", "x", "y", "theta"])
         for _ in range(rng.choice((0, 1, 1, 2, 4))):
             row = rng.choice(cells)
-            what = rng.choice(("cell", "cell", "scale", "more", "less", "twice", "swap"))
+            what = rng.choice(
+                ("cell", "cell", "cell", "scale", "scale", "more", "less", "twice", "swap")
+            )
             if what == "cell" and row:
                 row[rng.randrange(len(row))] = rng.choice(CELLS)
             elif what == "scale" and row:
@@ -58,13 +60,15 @@ def mutants(count: int) -> Iterator[bytes]:
                 cells.insert(rng.randrange(len(cells)), list(row))
             else:
                 rng.shuffle(cells)
-        separator = rng.choice((",", ",", ",", ";", "\t"))
+        separator = rng.choice((*[","] * 12, ";", "\t"))
         lines = [separator.join(row) for row in cells]
         data = rng.choice(("\n", "\r\n", "\r")).join(lines)
-        raw = bytearray(data.encode(rng.choice(("utf-8", "utf-8", "utf-8-sig", "utf-16"))))
-        for _ in range(rng.choice((0, 0, 0, 1, 5))):
+        raw = bytearray(
+            data.encode(rng.choice((*["utf-8"] * 8, "utf-8-sig", "utf-8-sig", "utf-16")))
+        )
+        for _ in range(rng.choice((*[0] * 8, 1, 5))):
             raw[rng.randrange(len(raw))] = rng.randrange(256)
-        yield bytes(raw[: rng.choice((len(raw), len(raw), len(raw), len(raw) // 2, 0))])
+        yield bytes(raw[: rng.choice((*[len(raw)] * 10, len(raw) // 2, 0))])
 
 
 def drive(path: Path) -> int:

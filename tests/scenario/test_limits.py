@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+import yaml
 
 from hiersched.cli import main
 from hiersched.scenario import ScenarioError, load_scenario
@@ -105,5 +106,6 @@ def test_entries_of_matrices_may_be_as_small_as_rounding_leaves_them(tmp_path):
     shipped = load_scenario("linear_plant")
     rows = [list(row) for row in shipped.plant.A]
     rows[0][-1] = 1e-17
-    path.write_text(f"extends: linear_plant\nplant: {{A: {rows}}}\n", encoding="utf-8")
+    text = yaml.safe_dump({"extends": "linear_plant", "plant": {"A": rows}})
+    path.write_text(text, encoding="utf-8")
     assert load_scenario(path).plant.A[0][-1] == 1e-17

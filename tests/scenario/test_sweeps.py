@@ -204,7 +204,7 @@ def test_faults_of_all_axes_are_listed_with_the_file(load_text):
     begin = f"{load_text.path}: sweeps.axes."
     assert [line.partition(" with ")[0] for line in str(caught.value).splitlines()] == [
         f"{begin}radio.fading.scal.vary.radio.fading.scal: unknown key; allowed in radio.fading: "
-        "model, scale",
+        "model, scale; did you mean scale?",
         *[f"{begin}radio.fading.scale.vary:"] * 2,
     ]
 

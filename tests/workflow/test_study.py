@@ -98,6 +98,7 @@ WITHOUT = {
 """Part of a study -> how to leave it out, and the beginnings of its jobs."""
 
 
+@pytest.mark.nightly
 def test_parts_that_are_left_out_plan_no_jobs(
     tmp_path: Path, snakemake: Callable[..., Any], planned: Callable[[Any], set[str]]
 ) -> None:

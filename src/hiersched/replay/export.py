@@ -11,6 +11,7 @@ from pathlib import Path
 from hiersched.core.extras import naming_extras
 from hiersched.core.files import refuse_existing, write_bytes
 from hiersched.log import LogReader, topic_frame
+from hiersched.log.frame import slot_span
 from hiersched.log.schema import EVENTS_TOPIC
 
 FORMS = ("csv", "parquet")
@@ -54,6 +55,7 @@ def export_tables(
             topic: Path(folder, f"{topic.removeprefix('/').replace('/', '_')}.{form}")
             for topic in topics or [*log.topics, EVENTS_TOPIC]
         }
+        slot_span(log, start_s, stop_s)  # says what is wrong with the times, before anything else
         refuse_existing(*files.values(), overwrite=overwrite)
         for topic, file in files.items():
             table = topic_frame(log, topic, None, start_s, stop_s)

@@ -75,8 +75,8 @@ def _point(path: Path, number: int, row: Sequence[str]) -> Point:
             value = math.nan
         if not abs(value) <= GREATEST:  # no number either
             raise ReferenceFileError(
-                f"{path}: row {number}, column {column}: {cell!r:.60}: must be a number within "
-                f"{GREATEST:g}"
+                f"{path}: row {number}, column {column}: {cell!r:.60}: must be a finite number "
+                f"within {GREATEST:g}"
             )
         values.append(value)
     t, x, y, theta = values
