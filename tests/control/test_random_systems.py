@@ -7,6 +7,7 @@ import logging
 import os
 
 import numpy as np
+import pytest
 
 from hiersched.control import design_gain, spectral_radius_by_delay, split_plant
 

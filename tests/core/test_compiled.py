@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from hiersched.core.compiled import CACHE_FOLDER
 
 CALL = """

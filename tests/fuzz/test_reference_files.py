@@ -42,11 +42,9 @@ def mutants(count: int) -> Iterator[bytes]:
     for _ in range(count):
         cells = [[f"{value:.6g}" for value in row] for row in circle(rng)]
         cells.insert(0, ["t", "x", "y", "theta"])
-        for _ in range(rng.choice((0, 1, 1, 2, 4))):
+        for _ in range(rng.choice((0, 0, 1, 1, 2, 4))):
             row = rng.choice(cells)
-            what = rng.choice(
-                ("cell", "cell", "cell", "scale", "scale", "more", "less", "twice", "swap")
-            )
+            what = rng.choice((*["cell"] * 3, *["scale"] * 2, "more", "less", "twice", "swap"))
             if what == "cell" and row:
                 row[rng.randrange(len(row))] = rng.choice(CELLS)
             elif what == "scale" and row:
@@ -63,9 +61,7 @@ def mutants(count: int) -> Iterator[bytes]:
         separator = rng.choice((*[","] * 12, ";", "\t"))
         lines = [separator.join(row) for row in cells]
         data = rng.choice(("\n", "\r\n", "\r")).join(lines)
-        raw = bytearray(
-            data.encode(rng.choice((*["utf-8"] * 8, "utf-8-sig", "utf-8-sig", "utf-16")))
-        )
+        raw = bytearray(data.encode(rng.choice((*["utf-8"] * 8, *["utf-8-sig"] * 2, "utf-16"))))
         for _ in range(rng.choice((*[0] * 8, 1, 5))):
             raw[rng.randrange(len(raw))] = rng.randrange(256)
         yield bytes(raw[: rng.choice((*[len(raw)] * 10, len(raw) // 2, 0))])
