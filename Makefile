@@ -14,7 +14,7 @@ OLDEST_NUMBA := 0.61.0
 
 STAMP := $(VENV)/.installed
 BIN := $(abspath $(VENV))/bin
-# Rules of the workflow call `python`: that has to be the one of the environment.
+# `python` and `snakemake` are those of the environment.
 # One thread per process: the workflow runs jobs side by side, and the bits of a
 # matrix product depend on the number of threads.
 RUN := env PATH="$(BIN):$$PATH" OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1 PYTHONHASHSEED=0
@@ -82,7 +82,7 @@ bench-short: $(STAMP)  ## the same way with less work, in half a minute: does it
 	$(RUN) python benchmarks/run.py --short
 
 clean:  ## remove caches and build leftovers (results/ and the environment stay)
-	rm -rf build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .benchmarks
+	rm -rf results/.kernels build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .benchmarks
 	find src tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
 
 distclean: clean  ## remove the environment and the results too

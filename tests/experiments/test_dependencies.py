@@ -127,6 +127,7 @@ def test_a_learners_evaluation_reads_what_it_declares(
     reads.clear()
     run(tiny, "evaluate", "ddpg", source)
     assert (results / "runs/evaluate/ddpg/crossed.parquet").is_file()
+    assert "traffic.deadline_s" in reads
     assert undeclared(set(reads), run_values(tiny, "evaluate", "ddpg")) == set()
 
 
@@ -161,6 +162,7 @@ def test_the_bound_reads_what_it_declares(
     run(few, "evaluate")
     reads.clear()
     compute_bound(few, results, results / files.BOUND)
+    assert "objective.penalty_weight" in reads
     assert undeclared(set(reads), dependencies.bound_values(tiny)) == set()
 
 
@@ -188,6 +190,7 @@ def test_gain_design_reads_what_it_declares(
 ) -> None:
     monkeypatch.setattr(gains_stage, "load_or_build", lambda *_, **__: None)
     gains_stage.design_gains(tiny, "schedule", results / "x.json")
+    assert "control.weight" in reads
     assert undeclared(set(reads), dependencies.gains_values(tiny, "schedule")) == set()
 
 
@@ -195,6 +198,7 @@ def test_training_reads_what_it_declares(tiny: Scenario, results: Path, reads: s
     from hiersched.experiments.train import train_and_log
 
     train_and_log(tiny, "ddpg", results, "code", show=False)
+    assert "learning.discount" in reads
     assert undeclared(set(reads), dependencies.train_values(tiny, "ddpg")) == set()
 
 

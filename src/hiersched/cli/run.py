@@ -88,6 +88,7 @@ def _study(parsed: argparse.Namespace) -> int:
 
 
 def _world(parsed: argparse.Namespace) -> int:
+    from hiersched.experiments.feasible import world_fault
     from hiersched.scenario import load_scenario
     from hiersched.study.metrics import run_metrics
 
@@ -97,6 +98,10 @@ def _world(parsed: argparse.Namespace) -> int:
     seconds = evaluation.duration_s if parsed.seconds is None else parsed.seconds
     if not slot_s <= seconds < math.inf:
         raise InputError(f"--seconds {seconds:g}: must be a slot of {slot_s:g} s or more")
+    if not 0 <= seed < 1 << 31:
+        raise InputError(f"--seed {seed}: must be 0 to {(1 << 31) - 1}")
+    if fault := world_fault(scenario, evaluation.warmup_s + seconds):
+        raise InputError(f"--seconds {seconds:g}: {fault}")
     default = Path("results", scenario.name, "worlds", f"{parsed.policy}_seed{seed}.mcap")
     path = default if parsed.out is None else Path(parsed.out)
     if parsed.out is not None:

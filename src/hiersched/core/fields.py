@@ -169,6 +169,9 @@ def fields_from_text(text: str, num_values: int) -> tuple[ModelField, ...]:
     try:
         for entry in json.loads(text):
             field = ModelField(**entry)
+            texts, numbers = (field.name, field.unit), (field.start, field.count)
+            if {type(v) for v in texts} != {str} or {type(v) for v in numbers} != {int}:
+                raise TypeError(f"{entry} is no field")
             if field.start != start or field.count < 1:
                 raise ValueError(f"{field.name} has {field.count} numbers from {field.start} on")
             start += field.count

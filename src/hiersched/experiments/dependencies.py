@@ -10,11 +10,12 @@ import hashlib
 import json
 import sys
 from dataclasses import fields
+from importlib.metadata import packages_distributions, version
 from pathlib import Path
 from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
-from hiersched.core.registry import ALGORITHMS, registered_files
+from hiersched.core.registry import ALGORITHMS, BUILT_IN_ALGORITHMS, registered_files
 from hiersched.core.seam import outside_files
 from hiersched.experiments.fingerprint import code_fingerprint
 from hiersched.experiments.gains import designs
@@ -74,6 +75,12 @@ def _flat(key: str, value: Any) -> dict[str, Any]:
     }
 
 
+def training_sha256(scenario: Scenario, learner: str, code: str) -> str:
+    """Hash the code of a training, that of our package and that of the plug-ins it uses."""
+    parts = {"package": code, **plugin_hashes(learner_scenario(scenario, learner))}
+    return hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
+
+
 def plugin_hashes(scenario: Scenario) -> dict[str, str]:
     """Return a hash of the sources of every plug-in that a scenario names or takes a model from.
 
@@ -86,7 +93,11 @@ def plugin_hashes(scenario: Scenario) -> dict[str, str]:
         if str(module.__file__) not in shown
     }
     found = {name: sources_sha256(module) for name, module in modules.items()}
-    learners = [ALGORITHMS.loaded(learning.algorithm) for learning in scenario.learned.values()]
+    learners = [
+        ALGORITHMS[learning.algorithm]
+        for learning in scenario.learned.values()
+        if learning.algorithm not in BUILT_IN_ALGORITHMS
+    ]
     kinds = [*(type(model_at(scenario, key)) for key in SECTIONS), *learners]
     names = [getattr(kind, "__module__", "") for kind in kinds]
     names += [
@@ -106,8 +117,15 @@ def _is_ours(module: ModuleType) -> bool:
 
 
 def _outside_hash(module: ModuleType) -> dict[str, str]:
-    """Return the hash of a module that is not ours, by its name: one of an installed package."""
-    return {} if _is_ours(module) else {module.__name__: sources_sha256(module)}
+    """Return the hash of a module that is not ours, by its name: one of an installed package.
+
+    Its helpers are not read, so the versions of its distribution count too.
+    """
+    if _is_ours(module):
+        return {}
+    names = packages_distributions().get(module.__name__.partition(".")[0], ())
+    versions = "".join(f" {name} {version(name)}" for name in sorted(set(names)))
+    return {module.__name__: sources_sha256(module) + versions}
 
 
 def sources_sha256(module: ModuleType) -> str:

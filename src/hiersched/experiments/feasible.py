@@ -70,12 +70,23 @@ def slot_bytes(scenario: Scenario) -> int:
 
 def memory_faults(scenario: Scenario) -> list[str]:
     """Say which parts of a study do not fit into the memory of this machine."""
+    faults = (_memory_fault(needed, what) for what, needed in _needed(scenario))
+    return [fault for fault in faults if fault]
+
+
+def world_fault(scenario: Scenario, seconds: float) -> str | None:
+    """Say if one world of so many seconds does not fit into the memory of this machine."""
+    slots = seconds / scenario.radio.slot_s
+    return _memory_fault(COPIES * slots * slot_bytes(scenario), f"a world of {slots:.6g} slots")
+
+
+def _memory_fault(needed: float, what: str) -> str | None:
     there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    return [
+    if needed <= there:
+        return None
+    return (
         f"{what}: takes {needed / _GIB:.3g} GiB of memory, this machine has {there / _GIB:.3g} GiB"
-        for what, needed in _needed(scenario)
-        if needed > there
-    ]
+    )
 
 
 def _needed(scenario: Scenario) -> Iterator[tuple[str, float]]:

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import ast
 import hashlib
+import platform
 from functools import cache
+from importlib.metadata import version
 from pathlib import Path
 
 PACKAGE = "hiersched"
@@ -19,6 +21,18 @@ KERNEL_MODULE = PACKAGE_FOLDER / "simulator" / "simulator.py"
 
 
 @cache
+def kernels_name() -> str:
+    """Name the compiled slot loop of this code, Numba, Python, machine and cache folder."""
+    from hiersched.core.compiled import CACHE_FOLDER
+
+    parts = (
+        code_fingerprint(KERNEL_MODULE),
+        *(version("numba"), platform.python_version(), platform.machine(), platform.node()),
+        str(CACHE_FOLDER),
+    )
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
+
+
 def code_fingerprint(script: Path, package_folder: Path = PACKAGE_FOLDER, *, only: str = "") -> str:
     """SHA-256, hexadecimal, of the code that a Python file can reach.
 

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class RunLabel:
-    """What a run is: train, evaluate, sweep or gain_study, policy, seed, the point of a sweep."""
+    """What a run is: one of `logged.STAGES`, policy, seed, the point of a sweep."""
 
     stage: str
     policy: str

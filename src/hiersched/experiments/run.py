@@ -32,7 +32,12 @@ Measure = Callable[[RunSlots, Scenario], dict[str, Any]]
 
 
 def run_experiment(
-    scenario: Scenario, results: Path, name: str, group: str, source: PolicySource, measure: Measure
+    scenario: Scenario,
+    results: Path,
+    name: str,
+    group: str,
+    source: PolicySource,
+    measure: Measure | None = None,
 ) -> None:
     """Run and log a group of policies; every policy runs in all worlds of a point as one batch.
 
@@ -69,6 +74,7 @@ def run_experiment(
             )
             run = replace(run, metadata={**run.metadata, **metadata})
             if not run.logged:
+                assert measure is not None  # only learners have more policies than logs
                 rows.append(measure(slots_of(variant, label, run), variant))
                 continue
             path = results / files.run_log(experiment, point, policy, run.seed)
@@ -116,9 +122,11 @@ def slots_of(scenario: Scenario, label: RunLabel, run: WorldRun) -> RunSlots:
 
 
 def _clear(scenario: Scenario, results: Path, experiment: Experiment, group: str) -> None:
-    """Remove what a group's runs have left and nobody asks for now: other seeds, other points."""
+    """Remove what runs have left and nobody asks for now: other seeds, points, policies."""
     keep = {results / name for name in files.group_files(scenario, experiment, group)}
-    for policy in groups(scenario, experiment)[group]:
-        for path in (results / files.RUNS / experiment.name).glob(f"**/{policy}/*"):
-            if path not in keep and (".mcap" in path.name or path.name.startswith("crossed.")):
-                path.unlink()
+    own = groups(scenario, experiment)[group]
+    others = {policy for run in groups(scenario, experiment).values() for policy in run} - set(own)
+    for path in (results / files.RUNS / experiment.name).glob("**/*"):
+        is_run = ".mcap" in path.name or path.name.startswith("crossed.")
+        if is_run and path not in keep and path.parent.name not in others:
+            path.unlink()

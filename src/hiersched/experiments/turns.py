@@ -15,7 +15,7 @@ import time
 from pathlib import Path
 from typing import IO
 
-_RUN, _JOBS = "hiersched.run", "hiersched.jobs"
+_RUN, _JOBS, _ELSEWHERE = "hiersched.run", "hiersched.jobs", "hiersched.elsewhere"
 _VARIABLE = "HIERSCHED_RUN"
 _held: list[IO[str]] = []
 """Open files: their locks are held until the process ends."""
@@ -25,9 +25,11 @@ def begin_run(folder: Path) -> bool:
     """Take the turn of this process as the run in a folder, Snakemake's own ``.snakemake``.
 
     If no other run is alive, its jobs are waited for, which end a second after it, and the locks
-    that Snakemake has left are removed. Returns whether it is this run's turn: if not, Snakemake
-    says who has it.
+    that Snakemake has left are removed; not if it had jobs on other machines, which may be alive:
+    ``snakemake --unlock`` is for whoever knows that they are not. Returns whether it is this run's
+    turn: if not, Snakemake says who has it.
     """
+    os.environ[_VARIABLE] = f"{os.getpid()} {platform.node()}"
     folder.mkdir(exist_ok=True)
     turn = open(folder / _RUN, "a")
     _held.append(turn)
@@ -41,17 +43,23 @@ def begin_run(folder: Path) -> bool:
         except OSError:
             print("waiting for jobs of a run that was killed", file=sys.stderr, flush=True)
             fcntl.flock(jobs, fcntl.LOCK_EX)
-    for lock in (folder / "locks").glob("*.lock"):
+    locks, elsewhere = list((folder / "locks").glob("*.lock")), folder / _ELSEWHERE
+    if elsewhere.exists() and locks:  # jobs on other machines may be alive: who knows, unlocks
+        return True
+    elsewhere.unlink(missing_ok=True)
+    for lock in locks:
         lock.unlink(missing_ok=True)
-    os.environ[_VARIABLE] = f"{os.getpid()} {platform.node()}"
     return True
 
 
 def join_run(folder: Path) -> None:
     """Take part in the run that started this process as a job, if one did: end when it does."""
     pid, _, node = os.environ.get(_VARIABLE, "").partition(" ")
-    if not pid or node != platform.node():
-        return  # no run, or one on another machine
+    if not pid:
+        return
+    if node != platform.node():
+        (folder / _ELSEWHERE).touch()
+        return
     jobs = open(folder / _JOBS, "a")
     _held.append(jobs)
     fcntl.flock(jobs, fcntl.LOCK_SH)

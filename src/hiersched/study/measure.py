@@ -10,8 +10,8 @@ windows
     A whole window and robot of a logged run: `error_cm`, `saturated` (share of slots with a control
     at its limit).
 slots
-    One of the first slots of an evaluation, and the mean of all (`slot` empty): `channel_gain`,
-    `urllc_rate_mbps`. Of the gain study a slot around a violation: `error_cm`.
+    One of the first slots of an evaluation, and the mean behind the warm-up (`slot` empty):
+    `channel_gain`, `urllc_rate_mbps`. Of the gain study a slot around a violation: `error_cm`.
 rates
     A rate: `share` of the slots or windows (`span`) and users of a `slice` at or below it, in a
     logged run of the evaluation.
@@ -225,7 +225,8 @@ def _rates(run: RunSlots, scenario: Scenario) -> pd.DataFrame:
     frames = []
     for span, length in (("slot", 1), ("window", slots_per_window(scenario))):
         blocks = len(rate) // length
-        mean = rate[: blocks * length].reshape(blocks, length, -1).mean(axis=1, dtype=np.float64)
+        parts = rate[: blocks * length].reshape(blocks, length, rate.shape[1])
+        mean = parts.mean(axis=1, dtype=np.float64)
         for name, users in (("embb", slice(urllc, None)), ("urllc", slice(0, urllc))):
             sample = np.sort(mean[:, users].ravel())
             share = np.searchsorted(sample, RATE_EDGES, side="right") / max(1, sample.size)

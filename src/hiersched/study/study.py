@@ -121,6 +121,14 @@ class Study:
         points = experiments(self.scenario)[experiment].points
         return next(point for point in points if point.value == value)
 
+    def scenario_of(self, runs: pd.DataFrame) -> Scenario:
+        """Return the scenario of some rows of `runs`, all at the same point."""
+        (axis,), (value,) = runs["axis"].unique(), runs["value"].unique()
+        own = (e for e in experiments(self.scenario).values() if e.axis == axis and not e.forced)
+        points = (point for experiment in own for point in experiment.points)
+        found = (point.scenario for point in points if _number(point.value) == value)
+        return next(found, self.scenario)  # the evaluation's, where nothing is varied
+
     def schedule(self, variant: Scenario) -> GainSchedule:
         """Read the gain schedule of a variant of the scenario."""
         path = self.results / files.gain_file(design_of(self.scenario, variant))

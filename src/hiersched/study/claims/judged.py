@@ -1,4 +1,4 @@
-"""The ten claims of the paper, each judged by the logs of a study.
+"""The ten claims of the paper, each judged by the measures of a study.
 
 The margins are read from the words of the claims and stay as they are whatever comes out:
 "comparable" is within 10 %, "hardly" within 5 % over a whole axis for rates (10 % for queues, which
@@ -309,7 +309,8 @@ def fewer_violations(study: Study) -> Judged:
 
     def measure(runs: pd.DataFrame, policy: str) -> tuple[Statement, ...]:
         own, other = in_the_same_worlds(runs, policy, BASELINE, late)
-        least = resolution(late, runs[runs["policy"] == policy], study.scenario)
+        trained = runs[runs["policy"] == policy]
+        least = resolution(late, trained, study.scenario_of(trained))
         return (ratio(own, other, least).statement("late share / PF's", "1", below=FAR_LESS),)
 
     return evaluated(study, measure, needs=BASELINE)

@@ -58,7 +58,10 @@ def draw_rate_cdf(study: Study) -> Figure:
             style.draw_curve(panel, curve["rate_mbps"], curve, "share", look, cut=(0.0, 1.0))
         drawn = own[(own["share"] > 0.0) & (own["share"] < LAST_SHARE)]["rate_mbps"]
         panel.set(title=title, xlabel="data rate [Mbit/s]", ylim=(0.0, 1.02))
-        panel.set_xlim(0.93 * float(drawn.min()), 1.02 * float(drawn.max()))
+        if len(drawn):
+            panel.set_xlim(0.93 * float(drawn.min()), 1.02 * float(drawn.max()))
+        else:
+            panel.text(0.5, 0.5, "the runs are shorter", ha="center", transform=panel.transAxes)
     axes[0].set_ylabel("share of rates at or below")
     style.shared_legend(figure, axes[0])
     style.caption(

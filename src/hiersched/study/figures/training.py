@@ -212,9 +212,11 @@ def draw_learning(study: Study) -> Figure:
     for panel in (panels[0], below):
         style.log_axis_with_zero(panel, floor, late)
     style.shared_legend(figure, below, columns=4)
+    counts = sorted({len(scenario.learned[name].seeds) for name in study.training})
+    seeds = " or ".join(map(str, counts))
     style.caption(
         figure,
-        f"Mean over {len(scenario.learning.seeds)} seeds; bands: Student t 95 % interval over "
+        f"Mean over {seeds} seeds; bands: Student t 95 % interval over "
         "seeds. Grey: actors that stay as they start, one for each kind of noise and start. "
         "Without noise: the policies as they are at that share of their training, in the same "
         "worlds for all. Episodes begin with empty queues.",

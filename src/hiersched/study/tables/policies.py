@@ -132,10 +132,10 @@ def sweep_table(study: Study) -> pd.DataFrame:
 
 def along_axes(study: Study, *axes: str) -> pd.DataFrame:
     """Return the rows of `sweep_table` of some axes."""
-    scenario, runs = study.scenario, study.sweeps
-    names, keys = all_measures(scenario), ["axis", "value", "policy"]
+    runs, keys = study.sweeps, ["axis", "value", "policy"]
+    names = all_measures(study.scenario)
     rows = [
-        {**dict(zip(keys, key, strict=True)), **_means(own, names, scenario)}
+        {**dict(zip(keys, key, strict=True)), **_means(own, names, study.scenario_of(own))}
         for key, own in runs[runs["axis"].isin(axes)].groupby(keys, sort=False)
     ]
     return pd.DataFrame(rows)
@@ -282,7 +282,7 @@ def generalisation_table(study: Study) -> pd.DataFrame:
         for value, group in runs[runs["axis"] == axis].groupby("value", sort=False):
             for policy, own in group.groupby("policy", sort=False):
                 row: dict[str, Any] = {"axis": axis, "value": value, "policy": policy}
-                row |= _means(own, CELL_MEASURES, scenario)
+                row |= _means(own, CELL_MEASURES, study.scenario_of(own))
                 rows.append({**row, **_against_best(own, group)})
     return pd.DataFrame(rows)
 
@@ -363,14 +363,15 @@ def learner_table(study: Study) -> pd.DataFrame:
             differs = ", ".join(f"{key} = {value}" for key, value in keys.items())
             row |= {"differs": differs or "as configured", **counts(runs)}
             for measure in CELL_MEASURES:
-                row |= measure_interval(measure, runs, scenario).columns(measure)
+                at_load = study.scenario_of(runs)
+                row |= measure_interval(measure, runs, at_load).columns(measure)
                 if learner == own or own not in by_policy:
                     continue
                 pair = paired(runs, by_policy[own], measure)
                 if measure in SYMMETRIC:
                     row |= paired_difference(*pair).columns(f"{measure}_minus_own")
                 else:
-                    least = resolution(measure, runs, scenario)
+                    least = resolution(measure, runs, at_load)
                     over = paired_log_ratio(*pair, resolution=least)
                     row |= over.columns(f"{measure}_over_own")
             rows.append(row)

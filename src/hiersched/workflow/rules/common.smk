@@ -1,5 +1,6 @@
 # What all rules share: the scenarios, checked before anything runs, and where files lie.
 
+import os
 import shlex
 import sys
 from pathlib import Path
@@ -7,7 +8,7 @@ from pathlib import Path
 from hiersched.core.faults import printable
 from hiersched.experiments import dependencies, files
 from hiersched.experiments.feasible import load_study
-from hiersched.experiments.fingerprint import KERNEL_MODULE, PACKAGE_FOLDER, code_fingerprint
+from hiersched.experiments.fingerprint import PACKAGE_FOLDER, code_fingerprint, kernels_name
 from hiersched.experiments.gains import designs, experiment_designs
 from hiersched.experiments.points import experiments, groups, trained_learners
 from hiersched.experiments.turns import begin_run
@@ -37,7 +38,8 @@ def load_scenarios():
         if scenario.name in scenarios:
             raise ScenarioError(f"--config scenarios: {scenario.name} stands twice")
         scenarios[scenario.name] = scenario
-        SOURCES[scenario.name] = str(name)
+        # However the path was written: the arguments of jobs are among what they depend on.
+        SOURCES[scenario.name] = os.path.relpath(name) if Path(name).is_file() else str(name)
     return list(scenarios.values())
 
 
@@ -48,7 +50,7 @@ except ScenarioError as error:
     sys.exit(f"error: {printable(str(error))}")
 
 NOTES = "\n".join(map(str, parameter_notes()))
-KERNELS = f"results/.kernels/{code_fingerprint(KERNEL_MODULE)[:16]}.txt"
+KERNELS = f"results/.kernels/{kernels_name()}.txt"
 
 
 def folder(scenario):

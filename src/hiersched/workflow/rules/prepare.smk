@@ -16,7 +16,7 @@ rule kernels:
     message:
         "Compiling the slot loop"
     shell:
-        "{sys.executable:q} {SCRIPTS:q}/kernels.py --output {output} > {log} 2>&1"
+        "{sys.executable:q} -P {SCRIPTS:q}/kernels.py --output {output} > {log} 2>&1"
 
 
 for s in SCENARIOS:
@@ -35,7 +35,7 @@ for s in SCENARIOS:
         message:
             f"Writing the resolved scenario {s.name}"
         shell:
-            "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
+            "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"
 
     for design in designs(s):
 
@@ -55,7 +55,7 @@ for s in SCENARIOS:
             message:
                 f"Designing gains of {s.name}: {design}"
             shell:
-                "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
+                "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"
 
     if "gain_grid" in experiments(s):
 
@@ -77,4 +77,4 @@ for s in SCENARIOS:
             message:
                 f"Finding the longest delays: {s.name}"
             shell:
-                "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
+                "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"

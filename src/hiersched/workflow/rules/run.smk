@@ -25,7 +25,7 @@ for s in SCENARIOS:
                 message:
                     f"Running {e.name} of {s.name}: {group}"
                 shell:
-                    "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
+                    "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"
 
     if s.bound.slots_per_log:
         evaluation = experiments(s)["evaluate"]
@@ -50,4 +50,4 @@ for s in SCENARIOS:
             message:
                 f"Computing exact optima of {s.name}"
             shell:
-                "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
+                "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"

@@ -47,7 +47,7 @@ for s in SCENARIOS:
             message:
                 f"Measuring the runs of {s.name}: {group}"
             shell:
-                "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
+                "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"
 
     for kind, things in {"table": TABLES, "figure": FIGURES}.items():
         for thing in shown(things, s).values():
@@ -77,7 +77,7 @@ for s in SCENARIOS:
                 message:
                     f"{'Writing' if kind == 'table' else 'Drawing'} {kind} {thing.name} of {s.name}"
                 shell:
-                    "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
+                    "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"
 
     for thing in shown(CLAIMS, s).values():
 
@@ -97,7 +97,7 @@ for s in SCENARIOS:
             message:
                 f"Judging {thing.name} in {s.name}"
             shell:
-                "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
+                "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"
 
     if shown(CLAIMS, s):
 
@@ -126,4 +126,4 @@ for s in SCENARIOS:
             message:
                 f"Putting the claims of {s.name} together"
             shell:
-                "{sys.executable:q} {SCRIPTS:q}/{params.args} > {log} 2>&1"
+                "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"

@@ -3,9 +3,8 @@
 from hiersched.experiments.job import job
 from hiersched.experiments.run import run_experiment
 from hiersched.experiments.worlds import untrained_policies
-from hiersched.study.metrics import measured_row
 
 if __name__ == "__main__":
     scenario, results, given = job(__doc__, "experiment", "group")
     source = untrained_policies
-    run_experiment(scenario, results, given.experiment, given.group, source, measured_row)
+    run_experiment(scenario, results, given.experiment, given.group, source)
