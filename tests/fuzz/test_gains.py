@@ -187,3 +187,36 @@ def test_gains_that_another_processor_rounded_are_accepted(tmp_path: Path) -> No
     path = tmp_path / "schedule.json"
     path.write_text(seal_json(document))
     assert isinstance(read_gains(path, scenario), GainSchedule)
+
+
+def put_margins(value: Any) -> Callable[[Document], None]:
+    def change(document: Document) -> None:
+        document["entries"][-1]["certificate"]["margins"] = value
+
+    return change
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        *(put_margins(value) for value in ({"inequality": "x"}, {"inequality": None}, {"P": [1]})),
+        lambda document: document.update(nominal=[0.0] * 100_000),
+        lambda document: document.update(nominal=[[10**400]]),
+        lambda document: document["entries"][3].update(gain=[[1e308] * 5] * 2),
+        lambda document: document.update(entries=document["entries"] * 200),
+        lambda document: document.update(entries=[[]]),
+        lambda document: document.update(key=None),
+        lambda document: document.pop("kind"),
+    ],
+)
+def test_content_that_is_no_schedule_is_one_message(
+    tmp_path: Path, change: Callable[[Document], None], recwarn: pytest.WarningsRecorder
+) -> None:
+    scenario, text = designed("krasovskii")
+    document = unseal_json(text.encode())
+    change(document)
+    path = tmp_path / "schedule.json"
+    path.write_text(seal_json(document))
+    with pytest.raises(ValueError, match=r"schedule\.json: not the gains of scenario smoke: "):
+        read_gains(path, scenario)
+    assert not list(recwarn)

@@ -205,3 +205,32 @@ def test_a_claim_of_memory_is_refused_before_it_is_allocated(
         read[0]()
     read[1]()
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 300_000  # KiB
+
+
+def chunks_of(data: bytes) -> list[tuple[int, int]]:
+    """Begin and end of every chunk, its index included."""
+    found, offset = [], 8
+    while offset < len(data):
+        opcode, length = struct.unpack_from("<BQ", data, offset)
+        end = offset + 9 + length
+        if opcode == Opcode.CHUNK:
+            found.append((offset, end + 9 + struct.unpack_from("<Q", data, end + 1)[0]))
+        offset = end
+    return found
+
+
+@pytest.mark.parametrize("change", ["reversed", "twice"])
+def test_chunks_in_another_order_are_named(tmp_path: Path, unfinished: bytes, change: str) -> None:
+    """All checksums right: nothing wrong comes out, what is left out is said, no part stays."""
+    result = recovered(tmp_path, unfinished)
+    assert result is not None
+    right, _ = result
+    pieces = [unfinished[begin:end] for begin, end in chunks_of(unfinished)]
+    head = unfinished[: chunks_of(unfinished)[0][0]]
+    pieces = pieces[::-1] if change == "reversed" else [*pieces, pieces[2]]
+    result = recovered(tmp_path, head + b"".join(pieces))
+    assert result is not None
+    found, losses = result
+    assert lies(found, right) == []
+    assert [loss for loss in losses if "out of order, or there twice" in loss]
+    assert not list(tmp_path.glob("out*.part"))

@@ -79,7 +79,11 @@ from hiersched.scenario import ScenarioError, find_scenario, load_scenario
         ),
         (
             "users: {num_urllc: 9}",
-            ["traffic.urllc_offered_mbps", "10 numbers", "must have one or 9"],
+            [
+                "traffic.urllc_offered_mbps",
+                "10 numbers",
+                "users.num_urllc = 9: must be one number, or 9",
+            ],
         ),
         (
             "radio: {path_loss: {model: macro, min_distance_m: 500.0}}",
@@ -163,7 +167,7 @@ def test_too_few_loads_are_one_fault(load_text):
     with pytest.raises(ScenarioError) as caught:
         load_text("users: {num_urllc: 12}")
     (line,) = str(caught.value).splitlines()
-    assert line.endswith("traffic.urllc_offered_mbps has 10 numbers, must have one or 12")
+    assert "has 10 numbers, and users.num_urllc = 12: must be one number, or 12" in line
 
 
 def test_a_fault_of_the_defaults_names_the_defaults(tmp_path, config):

@@ -109,3 +109,26 @@ def test_entries_of_matrices_may_be_as_small_as_rounding_leaves_them(tmp_path):
     text = yaml.safe_dump({"extends": "linear_plant", "plant": {"A": rows}})
     path.write_text(text, encoding="utf-8")
     assert load_scenario(path).plant.A[0][-1] == 1e-17
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        *("users: {num_urllc: 2001-13-45}", "users: {num_urllc: !!int ''}", "a: !!float ''"),
+        *("a: !!bool foo", "a: !!timestamp foo", "users: !!map foo", "users: !!map [a]"),
+        *(
+            'name: "\\U00110000"',
+            'name: "\\uD800"',
+            "a: " + "1:" * 3000 + "1",
+            "%YAML 1" + "1" * 5000,
+        ),
+        *("a: " + "[" * 2000, "a: &a [*a]", "? {a: b}\n: c", "a: " + "9" * 5000, "!!python/none x"),
+    ],
+)
+def test_yaml_of_any_content_is_one_message(tmp_path, capsys, text):
+    path = tmp_path / "mine.yaml"
+    path.write_text(f"{text}\n", encoding="utf-8")
+    assert main(["scenario", "check", str(path)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"hiersched: {path}: ")
+    assert len(line) < 800

@@ -146,8 +146,8 @@ def _statistics(log: LogReader) -> list[str]:
 
     if not log.num_slots:
         return []
-    warmup = int(log.metadata.get("warmup_slots", 0))
-    among = f", the {warmup} of the warm-up among them" if warmup else ""
+    warmup = log.metadata.get("warmup_slots", "0")
+    among = f", the {warmup} of the warm-up among them" if warmup != "0" else ""
     return ["", f"mean over all slots{among}"] + [
         f"  {name:<22}{float(values[0]):>14.6g} {unit}".rstrip()
         for name, unit, values in batch_means(log, log.num_slots, 1)

@@ -77,8 +77,9 @@ def _counterfactual(run: LoggedRun, policy: str, out: str | None) -> int:
 
     with blaming_input():
         other = policy_of(run, policy)
-    if out and Path(out).exists():
-        raise InputError(f"{out}: exists; a counterfactual never overwrites a file")
+    for taken in (out, f"{out}.part") if out else ():
+        if Path(taken).exists():
+            raise InputError(f"{taken}: exists; a counterfactual never overwrites a file")
     with tempfile.TemporaryDirectory() as folder:
         target = Path(out) if out else Path(folder, "run.mcap")
         with blaming_input((TypeError, ValueError), f"{run.path}: policy {other.name}: "):

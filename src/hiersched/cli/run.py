@@ -106,7 +106,7 @@ def _world(parsed: argparse.Namespace) -> int:
     path = default if parsed.out is None else Path(parsed.out)
     if parsed.out is not None:
         with blaming_input(FileExistsError):
-            refuse_existing(path, overwrite=parsed.overwrite)
+            refuse_existing(path, f"{path}.part", overwrite=parsed.overwrite)
     try:
         _log_world(path, scenario, parsed.policy, seed, seconds)
     except ValueError as error:

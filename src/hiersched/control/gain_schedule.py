@@ -37,6 +37,8 @@ DESIGN_VERSION = 2
 """Part of the cache key: raise it when the design algorithm changes its results."""
 
 FORMAT = "hiersched gain schedule 3"
+_MOST = 1000
+"""States, inputs, delays: a file that claims more is none."""
 _UNSEALED = "hiersched gain schedule 2"
 """Of earlier versions, without a checksum: still in their logs."""
 _WITNESSES: dict[str, type[Witness]] = {
@@ -212,6 +214,13 @@ class GainSchedule:
             document, wanted = unseal_json(text.encode()), FORMAT
         if document.get("format") != wanted:
             raise ValueError(f"not a gain schedule: its format must be {wanted!r}")
+        try:
+            return cls._of(document)
+        except (TypeError, LookupError, ArithmeticError, MemoryError) as error:
+            raise ValueError(f"not a gain schedule: {error!r:.200}") from error
+
+    @classmethod
+    def _of(cls, document: dict[str, Any]) -> GainSchedule:
         entries = _field(document, "entries", list)
         for delay, entry in enumerate(entries):
             if not isinstance(entry, dict) or entry.get("delay_steps") != delay:
@@ -221,6 +230,8 @@ class GainSchedule:
             for name, kind in _HEAD.items()
             if name not in _OPTIONAL or document.get(name) is not None
         }
+        if head["nominal"].ndim != 2 or max(*head["nominal"].shape, len(entries)) > _MOST:
+            raise ValueError(f"nominal is no matrix, or there are more than {_MOST} of something")
         certificates = (_field(entry, "certificate", dict) for entry in entries)
         return cls(
             **head,
@@ -278,7 +289,7 @@ def _parse_certificate(document: Mapping[str, Any]) -> Certificate:
         witness = kind(**arguments)
     return Certificate(
         certified=_field(document, "certified", bool),
-        margins=_field(document, "margins", dict),
+        margins={str(k): float(v) for k, v in _field(document, "margins", dict).items()},
         tolerance=_field(document, "tolerance", float),
         spectral_radii=_field(document, "spectral_radii", np.ndarray),
         witness=witness,
@@ -294,7 +305,7 @@ def _field(document: Mapping[str, Any], name: str, kind: type) -> Any:
         return value
     try:
         return np.array(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{name} is no array of numbers: {error}") from error
 
 

@@ -33,6 +33,14 @@ _OUTCOMES = {
 
 def check_schedule(schedule: GainSchedule, plant: DelayedPlant) -> None:
     """As `GainSchedule.verify`."""
+    with np.errstate(all="ignore"):
+        try:
+            _check(schedule, plant)
+        except (TypeError, LookupError, ArithmeticError) as error:
+            raise ValueError(f"it cannot be checked: {error!r:.200}") from error
+
+
+def _check(schedule: GainSchedule, plant: DelayedPlant) -> None:
     for name in ("kind", "sampling_s"):
         own, wanted = getattr(schedule, name), getattr(plant, name)
         if own != wanted:
@@ -58,6 +66,12 @@ def _check_gain(schedule: GainSchedule, plant: DelayedPlant, delay: int) -> None
         raise ValueError(
             f"status[{delay}] is {status!r}, certified by {old.criterion}: {method} gives "
             f"{', '.join(_OUTCOMES[method])}, certified by {criterion}"
+        )
+    promised = getattr(old.witness, "decay_rate", schedule.decay_rate)
+    if promised != schedule.decay_rate:
+        raise ValueError(
+            f"the witness for T={delay} promises the decay {promised!r}; it must be "
+            f"{schedule.decay_rate!r}"
         )
     if method == "predictor" and delay > 0:
         wanted, wanted_inputs = predictor_gains(plant.A, plant.B, plant.nominal_gain, delay)

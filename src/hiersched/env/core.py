@@ -106,6 +106,8 @@ class SlotLoop:
     ) -> None:
         gains = scenario_gains(scenario) if gains is None else gains
         num_slots = scenario.learning.slots_per_episode if num_slots is None else num_slots
+        if num_slots < 1 or not len(keys):
+            raise ValueError(f"{len(keys)} worlds of {num_slots} slots: must be 1 or more of both")
         self.simulator = Simulator(scenario, gains, keys, num_slots)
         self.record: SlotRecord = self.simulator.new_record(1)
         self.multipliers = np.zeros((len(keys), scenario.users.num_urllc))
@@ -137,6 +139,9 @@ class SlotLoop:
             slots = self.simulator.num_slots
             raise ResetNeeded(f"step: the episode of {slots} slots is over: call reset")
         wanted = self.simulator.state.weight.shape
+        actions = np.asarray(actions)
+        if actions.dtype.kind not in "fiu":
+            raise ValueError(f"actions: of type {actions.dtype}, must be real numbers")
         if np.shape(actions) != wanted:
             raise ValueError(
                 f"actions: shape {np.shape(actions)}, must be {wanted}: a number for every user of "

@@ -83,6 +83,10 @@ class SlicingParallelEnv(ParallelEnv):
         self._worlds.require_episode()
         if set(actions) != set(AGENTS):
             raise ValueError(f"actions of {', '.join(actions)}: must be of {', '.join(AGENTS)}")
+        for agent, space in self._action_spaces.items():
+            if np.shape(actions[agent]) != space.shape:
+                shape = np.shape(actions[agent])
+                raise ValueError(f"actions of {agent}: shape {shape}, must be {space.shape}")
         features = self._loop.step(np.concatenate([actions[agent] for agent in AGENTS])[None])
         info = {name: v[0] for name, v in slot_info(self._loop.record, self._scenario).items()}
         rewards = {agent: float(info[f"reward_{agent}"]) for agent in AGENTS}

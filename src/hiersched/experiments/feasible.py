@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from hiersched.core.randomness import world_key
-from hiersched.experiments.points import experiments
+from hiersched.experiments.points import experiments, groups
 from hiersched.models.model import num_model_values
 from hiersched.policies.features import num_features
 from hiersched.scenario import Scenario, ScenarioError, find_scenario, load_scenario
@@ -33,13 +34,28 @@ def load_study(name_or_path: str | Path) -> Scenario:
     scenario = load_scenario(name_or_path)
     try:
         experiments(scenario)
-        if faults := [*memory_faults(scenario), *design_faults(scenario)]:
+        checks = _name_faults, memory_faults, design_faults
+        if faults := [fault for check in checks for fault in check(scenario)]:
             raise ScenarioError("\n".join(faults))
     except ScenarioError as error:
         path = find_scenario(name_or_path)
         lines = [f"{path}: {line}" for line in str(error).splitlines()]
         raise ScenarioError("\n".join(lines)) from error
     return scenario
+
+
+def _name_faults(scenario: Scenario) -> list[str]:
+    """Say which jobs would have the same name: ``load_hi`` with ddpg, ``load`` with hi_ddpg."""
+    names = Counter(
+        f"{experiment.name}_{group}"
+        for experiment in experiments(scenario).values()
+        for group in groups(scenario, experiment)
+    )
+    return [
+        f"sweeps.axes, learners: two jobs would be called {name}: other names are needed"
+        for name, number in names.items()
+        if number > 1
+    ]
 
 
 def design_faults(scenario: Scenario) -> list[str]:

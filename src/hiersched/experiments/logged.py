@@ -16,6 +16,7 @@ from hiersched.control import GainSchedule
 from hiersched.core.fields import FIELDS
 from hiersched.core.randomness import world_key, world_keys
 from hiersched.experiments.logging import logged_fields
+from hiersched.experiments.points import ForcedDelays
 from hiersched.log import LogError, LogReader
 from hiersched.policies.policy import LoggedDecisions
 from hiersched.scenario import Scenario, ScenarioError, load_resolved
@@ -120,7 +121,11 @@ def load_run(path: str | os.PathLike[str]) -> LoggedRun:
         scenario, added_keys, sha256 = _scenario(attachments["scenario.yaml"])
         schedule = _schedule(attachments["schedule.json"], scenario)
         keys, episode_slots = _worlds(metadata, num_slots)
-    except (ScenarioError, ValueError, KeyError) as error:
+        if stage_delays := metadata.get("delays"):
+            ForcedDelays.from_json(stage_delays)
+        if episode_slots < 1 or int(metadata.get("warmup_slots", "0")) < 0:
+            raise ValueError("slots_per_episode or warmup_slots: must be 1 or more, 0 or more")
+    except (ScenarioError, ValueError, LookupError, TypeError, AttributeError) as error:
         raise fail(str(error)) from error
     if sha256 != metadata["scenario_sha256"]:
         raise fail("the attached scenario is not the one that its metadata name")
@@ -144,7 +149,9 @@ def _worlds(metadata: dict[str, str], num_slots: int) -> tuple[NDArray[np.uint64
     stage, seed = metadata["stage"], int(metadata["seed"])
     if stage not in ("train", "checkpoint"):
         return np.array([world_key(stage, seed)], np.uint64), num_slots
-    episode_slots = int(metadata["slots_per_episode"])
+    episode_slots = max(0, int(metadata["slots_per_episode"]))
+    if not episode_slots:
+        return np.empty(0, np.uint64), 0
     episodes = -(-num_slots // episode_slots)
     if stage == "train":
         return world_keys(stage, seed, episodes), episode_slots

@@ -77,8 +77,15 @@ class ForcedDelays:
 
     @staticmethod
     def from_json(text: str) -> ForcedDelays:
-        """Read them."""
-        return ForcedDelays(**{name: tuple(values) for name, values in json.loads(text).items()})
+        """Read them; ValueError if they are none."""
+        try:
+            read = ForcedDelays(**{name: tuple(v) for name, v in json.loads(text).items()})
+            windows, bounds = set(map(type, read.windows)), (read.violation_s, read.calm_s)
+            if windows - {int} or any(not 0.0 <= low <= high < 1e6 for low, high in bounds):
+                raise ValueError("numbers out of range")
+        except (TypeError, ValueError, AttributeError) as error:
+            raise ValueError(f"delays = {text:.100}: no forced delays: {error}") from error
+        return read
 
 
 def logged_delays(scenario: Scenario, metadata: Mapping[str, str]) -> ForcedDelays:

@@ -10,7 +10,7 @@ import torch
 
 from hiersched.core.faults import InputError
 from hiersched.core.files import write_bytes
-from hiersched.core.sealed import seal, unseal
+from hiersched.core.sealed import SealError, seal, unseal
 from hiersched.policies.features import FEATURE_VERSION
 
 _FORMAT = 4
@@ -44,14 +44,16 @@ def load_checkpoint(path: Path, scenario_sha256: str) -> dict[str, Any]:
     """
     try:
         saved = torch.load(BytesIO(unseal(path.read_bytes())), weights_only=True)
-        found = dict(saved["identity"])
+        found = {str(name): str(value) for name, value in saved["identity"].items()}
         state: dict[str, Any] = saved["state"]
+        if not isinstance(state, dict):
+            raise TypeError("no state")
     except Exception as error:
-        raise CheckpointError(
-            f"{path}: not a checkpoint: {error}; delete it to start anew"
-        ) from error
+        what = error if isinstance(error, SealError) else "its content is none"
+        text = f"{path}: not a checkpoint: {what}; delete it to start anew"
+        raise CheckpointError(text) from error
     for name, wanted in _identity(scenario_sha256).items():
-        if found.get(name) != wanted:
+        if found.get(name) != str(wanted):
             raise CheckpointError(
                 f"{path}: {name} = {found.get(name)!r}: must be {wanted!r}; delete it to start anew"
             )

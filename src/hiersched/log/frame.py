@@ -26,7 +26,7 @@ def slot_span(log: LogReader, start_s: float, stop_s: float) -> tuple[int, int]:
         raise ValueError(f"times {start_s:g} s to {stop_s:g} s; allowed: 0 <= start <= stop")
     # A nanosecond of tolerance: 0.07 s / 10 ms is 7.000000000000001 slots.
     start, stop = (
-        1 << 32 if math.isinf(t) else math.ceil((t * 1e9 - 1.0) / log.slot_ns)
+        1 << 32 if t * 1e9 > log.slot_ns * 2.0**32 else math.ceil((t * 1e9 - 1.0) / log.slot_ns)
         for t in (start_s, stop_s)
     )
     return max(start, 0), max(stop, 0)

@@ -61,6 +61,10 @@ _FREE = frozenset(
 """Records of a data section that can stand behind another one, in logs of ours."""
 _FOLLOWED_BY = {0: frozenset((Opcode.HEADER,)), Opcode.CHUNK: frozenset((Opcode.MESSAGE_INDEX,))}
 """Those that others have to stand behind; 0 is the start of the file."""
+_SUMMARY_RECORDS = (
+    *(records.Schema, records.Channel, records.Statistics, records.ChunkIndex),
+    *(records.AttachmentIndex, records.MetadataIndex, records.SummaryOffset, records.Footer),
+)
 _SUMMARY = frozenset(
     (
         *(Opcode.SCHEMA, Opcode.CHANNEL, Opcode.STATISTICS, Opcode.CHUNK_INDEX),
@@ -111,7 +115,7 @@ class LogFile:
         self._check_start()
         self.summary_start = self.size
         found, counts, losses = self._walk()
-        self._take(found, counts)
+        self._take(found, counts, losses)
         return losses
 
     def fail(self, offset: int, what: str) -> LogError:
@@ -217,7 +221,11 @@ class LogFile:
         if data[FOOTER_START.size :] != crc.to_bytes(4, "little"):
             raise self.fail(self.summary_start, "the summary does not match its checksum")
         with reading(self.path, self.summary_start, "the summary"):
-            return list(StreamReader(BytesIO(summary + data + MAGIC), skip_magic=True).records)
+            stream = BytesIO(summary + data + MAGIC)
+            found = list(StreamReader(stream, skip_magic=True, emit_chunks=True).records)
+            if other := [type(r).__name__ for r in found if not isinstance(r, _SUMMARY_RECORDS)]:
+                raise ValueError(f"it has {', '.join(sorted(set(other)))} records")
+            return found
 
     def _check_data_end(self, whole: bool) -> None:
         """Check the DataEnd record, and the checksum of all bytes before it if asked."""
@@ -231,8 +239,21 @@ class LogFile:
         if whole and crc != stored:
             raise self.fail(end, "the data section does not match its checksum")
 
-    def _take(self, summary: list[Any], counts: dict[int, int]) -> None:
-        """Keep what we need of the summary's records, sorted by topic."""
+    def _take(
+        self, summary: list[Any], counts: dict[int, int], losses: list[LogError] | None = None
+    ) -> None:
+        """Keep what we need of the summary's records, sorted by topic.
+
+        A chunk that is out of order, or there twice, is an error; where there are `losses` it is
+        one of those and left out.
+        """
+
+        def out_of_order(chunk: records.ChunkIndex) -> None:
+            error = self.fail(chunk.chunk_start_offset, "a chunk is out of order, or there twice")
+            if losses is None:
+                raise error
+            losses.append(error)
+
         channels = _of(summary, records.Channel)
         self.attachment_indexes = _of(summary, records.AttachmentIndex)
         self._load_metadata(_of(summary, records.MetadataIndex), channels)
@@ -255,7 +276,16 @@ class LogFile:
             ids = list(chunk.message_index_offsets)
             if len(ids) != 1 or ids[0] not in by_id:
                 raise self.fail(chunk.chunk_start_offset, f"a chunk has channels {ids}")
-            by_id[ids[0]].chunks.append(chunk)
+            chunks = by_id[ids[0]].chunks
+            last = chunks[-1] if chunks else None
+            is_next = last is None or (
+                last.chunk_start_offset < chunk.chunk_start_offset
+                and (chunks is events.chunks or last.message_end_time < chunk.message_start_time)
+            )
+            if is_next:
+                chunks.append(chunk)
+            else:
+                out_of_order(chunk)
 
     def _load_metadata(
         self, places: list[records.MetadataIndex], channels: list[records.Channel]

@@ -108,6 +108,9 @@ class LogReader:
 
     def _check_counts(self) -> None:
         """Check that the messages of each topic, all of one size, fill its chunks."""
+        numbers = {name: self._file.topics[name].num_messages for name in self.topics}
+        if len(set(numbers.values())) > 1:
+            raise self._fail(f"topics have different numbers of messages: {numbers}")
         for name in self.topics:
             count = self._file.topics[name].num_messages
             sizes = [chunk.uncompressed_size for chunk in self._file.topics[name].chunks]
@@ -211,7 +214,10 @@ class LogReader:
             if chunk.message_end_time >= start * self.slot_ns
             and chunk.message_start_time < stop * self.slot_ns
         ]
-        count = sum(chunk.uncompressed_size for chunk in chunks) // layout.dtype.itemsize
+        claimed = sum(chunk.uncompressed_size for chunk in chunks)
+        if claimed > (there := os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")):
+            raise self._fail(f"{topic} claims {claimed} bytes, this machine has {there}")
+        count = claimed // layout.dtype.itemsize
         slots = np.empty(count, np.uint64)
         values = {
             name: np.empty((count, *layout.values[name][1]), layout.values[name][0])
@@ -300,7 +306,21 @@ class LogReader:
             if not (rows[name] == layout.template[name]).all():
                 what = f"a chunk of {topic} has messages that do not follow the schema ({name})"
                 raise LogError(self.path, chunk.chunk_start_offset, what)
+        times = rows["header:log_time"]
+        ends = chunk.message_start_time, chunk.message_end_time
+        in_order = (times[1:] > times[:-1]).all() and (int(times[0]), int(times[-1])) == ends
+        with np.errstate(over="ignore"):
+            at_slot = rows["slot"] * np.uint64(self.slot_ns) == times
+        if not (in_order and at_slot.all() and int(rows["slot"][-1]) < 1 << 32):
+            what = f"a chunk of {topic} has slots that are out of order, or not of their times"
+            raise LogError(self.path, chunk.chunk_start_offset, what)
         return rows
+
+    def check_chunk(self, topic: str, chunk: ChunkIndex) -> None:
+        """Decode a chunk of a topic; LogError if it is not what the topic has: for `recover`."""
+        layout = self.layout(topic)
+        if layout is not None:
+            self._rows(topic, chunk, layout)
 
     def contents(self) -> list[TopicContent]:
         """Say what each topic takes, events included, in the order of their channels."""

@@ -62,6 +62,8 @@ def recover(path: str | os.PathLike[str], out: str | os.PathLike[str] | None = N
         If `out` exists.
     """
     source = Path(path)
+    if not source.is_file():
+        raise LogError(source, 0, "there is no such file")
     target = recovered_path(source) if out is None else Path(out)
     for taken in (target, target.with_name(target.name + ".part")):
         if taken.exists():
@@ -71,6 +73,7 @@ def recover(path: str | os.PathLike[str], out: str | os.PathLike[str] | None = N
         losses = _load(file)
         losses += _drop_unreadable(file)
         with LogReader.of(file) as log:
+            losses += _drop_undecodable(log, file)
             return _rewrite(log, target, losses)
     finally:
         file.close()
@@ -123,6 +126,20 @@ def _drop_unreadable(file: LogFile) -> list[str]:
     return losses
 
 
+def _drop_undecodable(log: LogReader, file: LogFile) -> list[str]:
+    """Forget chunks whose messages are not what their topic has, and say which."""
+    losses = []
+    for name in log.topics:
+        chunks = file.topics[name].chunks
+        for chunk in list(chunks):
+            try:
+                log.check_chunk(name, chunk)
+            except LogError as error:
+                chunks.remove(chunk)
+                losses.append(f"at byte {error.offset}: {name}: {error.what}{_span(file, chunk)}")
+    return losses
+
+
 def _span(file: LogFile, chunk: ChunkIndex) -> str:
     first, last = (t // file.slot_ns for t in (chunk.message_start_time, chunk.message_end_time))
     return f" (slots {first} to {last})"
@@ -137,7 +154,7 @@ def _rewrite(log: LogReader, target: Path, losses: list[str]) -> Recovery:
             losses.append(f"{topic}: {len(present) - len(whole)} slots that other topics lack")
     spans = _spans(whole)
     events = log.events()
-    with LogWriter(
+    writer = LogWriter(
         target,
         log.dims,
         log.profile,
@@ -145,7 +162,8 @@ def _rewrite(log: LogReader, target: Path, losses: list[str]) -> Recovery:
         log.attachments,
         slot_ns=log.slot_ns,
         like=log,
-    ) as writer:
+    )
+    try:
         for start, stop in spans:
             for first in range(start, stop, _BLOCK_SLOTS):
                 part = first, min(stop, first + _BLOCK_SLOTS)
@@ -156,6 +174,11 @@ def _rewrite(log: LogReader, target: Path, losses: list[str]) -> Recovery:
                 writer.write_block(first, fields)
         for event in events:
             writer.event(*event)
+        writer.close()
+    except BaseException:
+        writer.abort()
+        target.with_name(target.name + ".part").unlink(missing_ok=True)
+        raise
     return Recovery(target, spans, len(events), tuple(losses))
 
 

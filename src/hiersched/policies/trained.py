@@ -42,7 +42,9 @@ class _Content:
 
     feature_version: int
     network: Literal["shared", "mlp"]
-    hidden: Annotated[tuple[Annotated[int, Field(ge=1, le=10_000)], ...], NonEmpty]
+    hidden: Annotated[
+        tuple[Annotated[int, Field(ge=1, le=10_000)], ...], Field(min_length=1, max_length=20)
+    ]
     rule: Literal["pf", "max_weight", "drift_plus_penalty"]
     observe_robots: bool
     weight_exponent: Annotated[float, Field(gt=0, le=20)]

@@ -29,6 +29,7 @@ LEAST_PRB_HZ, GREATEST_PRB_HZ = 1.0, 1e11
 """Rates are float32, in Mbit/s."""
 MAX_DELAY_STEPS = 200
 MAX_SUBSTEPS = 10_000
+MOST_CHECKPOINTS = 1000
 SWEPT_SECTIONS = (
     *("users", "radio", "traffic", "objective", "schedulers"),
     *("robot", "plant", "control", "policies"),
@@ -36,7 +37,7 @@ SWEPT_SECTIONS = (
 """Sections of which a sweep can vary the keys: those that the slot loop reads."""
 RESERVED_AXES = (
     *("evaluate", "generalise", "gain_study", "gain_grid", "gain_sampling_s", "gain_noise"),
-    *("cell", "measure", "train"),
+    *("cell", "measure", "train", "gains", "bound", "stability", "resolve", "kernels", "claims"),
 )
 """Names of other experiments, of what they vary, and of jobs."""
 RESERVED_LEARNERS = ("classical", "gains")
@@ -104,7 +105,10 @@ def _broken(*rules: tuple[bool, str]) -> list[str]:
 
 def _once(key: str, values: Sequence[Any], what: str) -> list[str]:
     """Check that nothing stands twice in a list."""
-    twice = any(value in values[:number] for number, value in enumerate(values))
+    try:
+        twice = len(set(values)) < len(values)
+    except TypeError:  # lists and mappings of an axis
+        twice = any(value in values[:number] for number, value in enumerate(values))
     return _broken((twice, f"{key} = {list(values)}: every {what} once"))
 
 
@@ -133,8 +137,8 @@ def _users(scenario: Scenario) -> list[str]:
         value = attrgetter(key)(scenario)
         if isinstance(value, Sequence) and len(value) != count:
             faults.append(
-                f"users.num_{name} = {count}: {key} has {len(value)} numbers, must have one or "
-                f"{count}"
+                f"{key} has {len(value)} numbers, and users.num_{name} = {count}: must be one "
+                f"number, or {count} of them"
             )
     return faults
 
@@ -281,6 +285,10 @@ def _learning(scenario: Scenario, section: str, learning: Learning) -> list[str]
                 learning.episodes % learning.num_envs > 0,
                 f"{section}.episodes = {learning.episodes}: must be a multiple of "
                 f"{section}.num_envs = {learning.num_envs}",
+            ),
+            (
+                learning.checkpoints > MOST_CHECKPOINTS,
+                f"{section}.checkpoints = {learning.checkpoints}: at most {MOST_CHECKPOINTS}",
             ),
             (
                 learning.replay_capacity < round_slots,

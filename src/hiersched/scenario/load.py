@@ -76,10 +76,13 @@ def find_scenario(name_or_path: str | Path) -> Path:
     shipped = {file.stem: file for file in sorted((CONFIG / "scenarios").glob("*.yaml"))}
     if str(name_or_path) in shipped:
         return shipped[str(name_or_path)]
-    if path.is_dir():
-        raise ScenarioError(f"{path}: a folder; a scenario is a YAML file")
-    if path.is_file():
-        return path
+    try:
+        if path.is_dir():
+            raise ScenarioError(f"{path}: a folder; a scenario is a YAML file")
+        if path.is_file():
+            return path
+    except OSError as error:
+        raise ScenarioError(f"{str(path)[:200]}: cannot be read: {error.strerror}") from error
     if path.suffix in (".yaml", ".yml"):
         raise ScenarioError(f"{path}: no such file")
     raise ScenarioError(f"{path}: no such scenario; there are: {', '.join(shipped)}")
@@ -121,7 +124,9 @@ def _with_points(merged: dict[str, Any], sources: _Sources) -> dict[str, Any]:
         for axis in (axes.values() if isinstance(axes, dict) else ())
         if isinstance(axis, dict) and isinstance(axis.get("vary"), dict)
     ]
-    if robot.get("reference") != "file" and not any("file" in (values or ()) for values in swept):
+    if robot.get("reference") != "file" and not any(
+        isinstance(values, list) and "file" in values for values in swept
+    ):
         raise ScenarioError(
             f"{path}: robot.reference_file = {name!r}: needs robot.reference: file (or file among "
             "the values of a sweep)"

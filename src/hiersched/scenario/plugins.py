@@ -28,10 +28,10 @@ def load_plugins(names: Sequence[str], files: Sequence[Path]) -> list[str]:
         faults.append(str(error))
     folders = tuple(dict.fromkeys((*(file.parent for file in files), Path())))
     for place, name in enumerate(names):
-        found = next((folder / name for folder in folders if (folder / name).is_file()), None)
         try:
+            found = next((f / name for f in folders if (f / name).is_file()), None)
             load_plugin(folders[0] / name if found is None else found)
-        except PluginError as error:
+        except (PluginError, OSError, ValueError) as error:
             faults.append(f"plugins.{place} = {name!r}: {error}")
     return faults
 

@@ -27,8 +27,8 @@ from hiersched.scenario.choice import chosen_from, policy_entry
 GainMethod = Literal["krasovskii", "razumikhin", "predictor", "latency_compensated", "h2"]
 Reference = Literal["straight", "arc", "figure_eight", "zigzag", "file"]
 Need = Literal["none", "backlog", "backlog_and_arrivals"]
-LearnerName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
-AxisName = Annotated[str, Field(pattern=r"^[a-z][A-Za-z0-9_.]*$")]
+LearnerName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=60)]
+AxisName = Annotated[str, Field(pattern=r"^[a-z][A-Za-z0-9_.]*$", max_length=60)]
 PolicyName = LearnerName
 """A scheduler, a learner or one of `policies`; `consistency` knows which there are."""
 LogProfile = Literal["full", "compact", "decisions"]
@@ -273,7 +273,7 @@ class Log(_Strict):
 class Scenario(_Strict):
     """Everything that a run depends on; nothing is read from YAML later."""
 
-    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$")]
+    name: Annotated[str, Field(pattern=r"^[a-z0-9][a-z0-9_-]*$", max_length=60)]
     plugins: tuple[str, ...]
     users: Users
     radio: Radio

@@ -14,6 +14,10 @@ _INTEGER, _FLOAT = "tag:yaml.org,2002:int", "tag:yaml.org,2002:float"
 _OTHER_BASE = re.compile(r"[-+]?(?:0[0-7_]+|[0-9][0-9_]*(?::[0-5]?[0-9])+(?:\.[0-9_]*)?)")
 
 
+_UNREADABLE = (ValueError, TypeError, LookupError, AttributeError, ArithmeticError)
+_LONGEST = 400
+
+
 class _Loader(yaml.SafeLoader):
     """Refuses what PyYAML reads in silence as something that nobody meant."""
 
@@ -24,6 +28,8 @@ class _Loader(yaml.SafeLoader):
         return node
 
     def strict_mapping(self, node: yaml.MappingNode) -> dict[str, Any]:
+        if not isinstance(node, yaml.MappingNode):
+            raise _refused(node, "a tag of a mapping on what is none")
         seen = set()
         for key_node, _ in node.value:
             key = self.construct_object(key_node)
@@ -37,6 +43,8 @@ class _Loader(yaml.SafeLoader):
 
     def strict_number(self, node: yaml.ScalarNode) -> int | float:
         text = str(node.value)
+        if len(text) > _LONGEST:
+            raise _refused(node, f"a number of {len(text)} digits")
         number: int | float
         try:
             is_integer = node.tag == _INTEGER
@@ -71,12 +79,16 @@ def parse_yaml(text: str) -> Any:
         return yaml.load(text, Loader=_Loader)  # a SafeLoader
     except RecursionError as error:
         raise yaml.YAMLError(f"nested deeper than {DEEPEST} levels") from error
+    except _UNREADABLE as error:  # of dates that are none, of tags on what does not have them
+        raise yaml.YAMLError(f"a value cannot be read: {error!r:.200}") from error
 
 
 def _count_values(node: yaml.Node, known: dict[int, int], depth: int) -> int:
     """Count the values of a tree in which aliases repeat whole branches, perhaps without end."""
     if depth > DEEPEST:
         raise _refused(node, f"nested deeper than {DEEPEST} levels, or without end by an alias")
+    if isinstance(node, yaml.ScalarNode) and _has_surrogates(node.value):
+        raise _refused(node, "a character that no text has")
     if id(node) not in known:
         children = node.value if isinstance(node, yaml.CollectionNode) else []
         inner = [n for child in children for n in (child if isinstance(child, tuple) else (child,))]
@@ -84,6 +96,14 @@ def _count_values(node: yaml.Node, known: dict[int, int], depth: int) -> int:
         if known[id(node)] > MOST_VALUES:
             raise _refused(node, f"more than {MOST_VALUES} values, those of aliases included")
     return known[id(node)]
+
+
+def _has_surrogates(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return True
+    return False
 
 
 def _refused(node: yaml.Node, what: str) -> yaml.YAMLError:
