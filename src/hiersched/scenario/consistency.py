@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from hiersched.core.parameters import read_strictly
 from hiersched.core.registry import ALGORITHMS, BUILT_IN_ALGORITHMS
 from hiersched.models.model import SECTIONS
+from hiersched.models.plant.reference import period_s
 from hiersched.policies.find import UNTRAINED, ImportedPolicy, untrained_names
 from hiersched.scenario.fault_text import own_faults
 from hiersched.scenario.reference_file import reference_faults
@@ -29,6 +30,7 @@ LEAST_PRB_HZ, GREATEST_PRB_HZ = 1.0, 1e11
 """Rates are float32, in Mbit/s."""
 MAX_DELAY_STEPS = 200
 MAX_SUBSTEPS = 10_000
+MOST_PERIOD_STEPS = 5_000_000
 MOST_CHECKPOINTS = 1000
 SWEPT_SECTIONS = (
     *("users", "radio", "traffic", "objective", "schedulers"),
@@ -170,11 +172,17 @@ def _link_budget(scenario: Scenario) -> list[str]:
 def _times(scenario: Scenario) -> list[str]:
     longest = scenario.max_delay_steps
     substeps = max(scenario.radio.slot_s, scenario.control.sampling_s) / scenario.robot.substep_s
+    period = period_s(scenario.robot) / scenario.robot.substep_s
     return [
         *_multiples(scenario, "robot.substep_s", "radio.slot_s", "control.sampling_s"),
         *_multiples(scenario, "radio.slot_s", "robot.window_s"),
         *_multiples(scenario, "control.sampling_s", "robot.window_s"),
         *_broken(
+            (
+                period > MOST_PERIOD_STEPS,
+                f"robot.reference = {scenario.robot.reference}: {period:.6g} substeps until it "
+                f"repeats itself, at most {MOST_PERIOD_STEPS} (all of them are kept)",
+            ),
             (
                 substeps > MAX_SUBSTEPS,
                 f"robot.substep_s = {scenario.robot.substep_s}: {substeps:.6g} substeps in a slot "

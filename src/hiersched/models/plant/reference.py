@@ -79,6 +79,15 @@ _PATHS: dict[str, tuple[Callable[[Robot], float], Callable[[Robot, FloatArray], 
 """Length [m] after which a path repeats itself, 0 for never, and its curvature [1/m] by way."""
 
 
+def period_s(robot: Robot) -> float:
+    """Return how long a reference takes until it repeats itself [s]; 0 where it does not."""
+    if robot.reference == "file":
+        points = robot.reference_points or ((0.0, 0.0, 0.0, 0.0),)
+        return float(points[-1][0]) if robot.reference_repeat else 0.0
+    period_m, _ = _PATHS[robot.reference]
+    return period_m(robot) / robot.speed_mps
+
+
 def reference_table(
     robot: Robot, num_steps: int, num_robots: int
 ) -> tuple[ReferenceTable, NDArray[np.int64]]:
