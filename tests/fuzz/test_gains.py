@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import random
+import subprocess
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -220,3 +223,23 @@ def test_content_that_is_no_schedule_is_one_message(
     with pytest.raises(ValueError, match=r"schedule\.json: not the gains of scenario smoke: "):
         read_gains(path, scenario)
     assert not list(recwarn)
+
+
+@pytest.mark.parametrize("core", ["Prescott", "Haswell", "SkylakeX"])
+def test_gains_serve_on_another_processor(core: str) -> None:
+    """The shipped gains are verified under the matrix kernels of other processors."""
+    code = (
+        "from hiersched.scenario import load_scenario\n"
+        "from hiersched.simulator.gain_source import read_gains, shipped_file\n"
+        "for name in ('paper', 'linear_plant'):\n"
+        "    scenario = load_scenario(name)\n"
+        "    read_gains(shipped_file(scenario), scenario)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        env={**os.environ, "OPENBLAS_CORETYPE": core},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
