@@ -70,7 +70,11 @@ def test_defaults_are_those_of_the_package(tmp_path, monkeypatch):
             "control: {sampling_s: 1:1}",
             "YAML reads 1:1 as 61, to the base 60: write 61, or quotes (line 1,",
         ),
-        ("robot: {speed_mps: 1.0e-9}", "no gain can be designed for this plant"),
+        ("robot: {speed_mps: 1.0e-9}", "substeps until it repeats itself, at most 5000000"),
+        (
+            "extends: linear_plant\nplant: {B: [[0.0], [0.0], [0.0], [0.0]]}",
+            "no gain can be designed for this plant",
+        ),
         (
             f"sweeps: {{axes: {{big: {{vary: {{traffic.load: {LOADS}, "
             f"radio.tx_power_dbm: {LOADS}}}}}}}}}",

@@ -62,7 +62,7 @@ def recover(path: str | os.PathLike[str], out: str | os.PathLike[str] | None = N
         If `out` exists.
     """
     source = Path(path)
-    if not source.is_file():
+    if not source.name:
         raise LogError(source, 0, "there is no such file")
     target = recovered_path(source) if out is None else Path(out)
     for taken in (target, target.with_name(target.name + ".part")):
