@@ -53,10 +53,10 @@ gains: $(STAMP)  ## design the gains that the package ships anew
 	$(RUN) python src/hiersched/workflow/scripts/ship_gains.py
 
 test: $(STAMP)  ## the tests, in about two minutes
-	$(RUN) python -m pytest -n $(CORES) --dist worksteal
+	$(RUN) python -m pytest -n $(CORES) --dist loadgroup
 
 nightly: $(STAMP)  ## the tests that take longer: fuzzing, kills, tutorials, whole studies
-	$(RUN) python -m pytest -n $(CORES) --dist worksteal -m nightly
+	$(RUN) python -m pytest -n $(CORES) --dist loadgroup -m nightly
 
 lint: $(STAMP)  ## style, types, import directions, workflow format
 	$(RUN) ruff check .

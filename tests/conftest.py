@@ -35,6 +35,22 @@ settings.register_profile(
 settings.load_profile("hiersched")
 
 
+LONGEST_FIRST = ("study", "control", "experiments", "learning", "simulator", "replay", "log")
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Keep the tests of a folder on one worker, which builds what they share once."""
+
+    def folder(item: pytest.Item) -> str:
+        inner = item.path.relative_to(Path(__file__).parent)
+        return inner.parts[0]
+
+    order = {name: place for place, name in enumerate(LONGEST_FIRST)}
+    items.sort(key=lambda item: order.get(folder(item), len(order)))
+    for item in items:
+        item.add_marker(pytest.mark.xdist_group(folder(item)))
+
+
 @pytest.fixture(scope="session")
 def project_root() -> Path:
     """The root folder of the checkout."""

@@ -73,7 +73,7 @@ def test_defaults_are_those_of_the_package(tmp_path, monkeypatch):
         ("robot: {speed_mps: 1.0e-9}", "substeps until it repeats itself, at most 5000000"),
         (
             "extends: linear_plant\nplant: {B: [[0.0], [0.0], [0.0], [0.0]]}",
-            "no gain can be designed for this plant",
+            "plant: (A, B) is not stabilisable: no input moves the mode of A at 1",
         ),
         (
             f"sweeps: {{axes: {{big: {{vary: {{traffic.load: {LOADS}, "
