@@ -203,6 +203,7 @@ def test_c1_schedule_of_the_split_plant(make_split_plant):
     assert GainSchedule.from_json(table.to_json()).to_json() == table.to_json()
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("sampling_s", "first_unstable_s"),
     [(0.005, 0.075), (0.010, 0.080), (0.050, 0.100), (0.100, 0.100)],

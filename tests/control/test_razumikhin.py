@@ -188,6 +188,7 @@ def test_searches_find_what_a_grid_of_weights_finds_up_to_the_edge(least_radius,
         assert certify(A_c, low * A_d, T, analyse(A_c, low * A_d, T, rate)).certified
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     "analyse",
     [lambda A_c, A_d, T: analyse_razumikhin(A_c, A_d, T, 0.003), analyse_delay_razumikhin],

@@ -363,6 +363,7 @@ def flat(view):
 """
 
 
+@pytest.mark.nightly
 def test_a_plugin_that_only_adds_figures_is_nothing_to_the_runs(
     tiny_with: Load, tmp_path: Path, write_plugin: Callable[[Path, str], Path]
 ) -> None:

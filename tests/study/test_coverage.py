@@ -94,6 +94,7 @@ def test_skewed_shares_are_covered_where_t_and_bootstrap_fail() -> None:
     assert percentile.inside == pytest.approx(0.66, abs=error(0.66, 1000))
 
 
+@pytest.mark.nightly
 def test_shares_that_are_0_in_three_worlds_of_ten_are_covered() -> None:
     count = 1000
     samples, mean = lognormal(count, zeros=0.3)

@@ -52,6 +52,7 @@ def test_profiles_rerun_what_is_incomplete(project_root: Path, name: str) -> Non
     assert "printshellcmds: true" in text
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("config", "message"),
     [
