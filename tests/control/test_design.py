@@ -29,6 +29,7 @@ def test_an_unstable_nominal_gain_is_adjusted(make_network_plant):
     assert design.solve_time_s > 0
 
 
+@pytest.mark.nightly
 def test_a_designer_repeats_single_designs(make_network_plant):
     plant = make_network_plant()
     designer = GainDesigner(plant)

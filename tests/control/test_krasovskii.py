@@ -77,6 +77,7 @@ def test_synthesis_for_the_split_plant(make_split_plant):
     assert (certificate.spectral_radii < 1).all()
 
 
+@pytest.mark.nightly
 def test_reaching_for_a_shorter_delay_moves_the_gain_less(make_network_plant):
     plant = make_network_plant()
     synthesis = KrasovskiiSynthesis(plant)

@@ -43,6 +43,7 @@ def _functional(x, P, S, R, limits):
     return value
 
 
+@pytest.mark.nightly
 def test_form_equals_the_sums():
     rng, n = np.random.default_rng(0), 2
     for limits in ([3], [1, 4], [2, 3, 7], []):
@@ -53,6 +54,7 @@ def test_form_equals_the_sums():
         assert x.ravel() @ form @ x.ravel() == pytest.approx(_functional(x, P, S, R, limits))
 
 
+@pytest.mark.nightly
 def test_modes_are_the_lifts():
     rng = np.random.default_rng(1)
     A_c, A_d = rng.standard_normal((2, 3, 3))
@@ -66,6 +68,7 @@ def test_modes_are_the_lifts():
         np.testing.assert_array_equal(moved[1:], states[:-1])
 
 
+@pytest.mark.nightly
 def test_contraction_and_jump_by_hand():
     form = np.diag([1.0, 4.0])
     assert contraction(form, np.array([[[0.0, 1.0], [0.5, 0.0]]])) == pytest.approx(1.0, abs=1e-9)
@@ -74,6 +77,7 @@ def test_contraction_and_jump_by_hand():
     assert jump(np.diag([3.0, 2.0]), form) == pytest.approx(3.0)
 
 
+@pytest.mark.nightly
 def test_the_extended_functional_falls_as_it_claims(fridman):
     rng, T, window = np.random.default_rng(2), 3, 8
     P = _symmetric(rng, 2)
@@ -91,6 +95,7 @@ def test_the_extended_functional_falls_as_it_claims(fridman):
     assert np.linalg.eigvalsh(form)[0] > 0.0
 
 
+@pytest.mark.nightly
 def test_fridmans_loop_has_a_functional_with_two_segments(fridman):
     """N = 2 is at least as good as C3, whose limit is 15; no functional exists past 18."""
     form = common_functional([fridman, fridman], [7, 15])
@@ -99,6 +104,7 @@ def test_fridmans_loop_has_a_functional_with_two_segments(fridman):
     assert form is None or contraction(form, lifted_modes(*fridman, 19, 19)) >= 1.0
 
 
+@pytest.mark.nightly
 def test_scalars_that_switch_unstably_have_no_common_functional():
     """Either gain alone is stable at its delay; alternating between them is not."""
     stiff, soft = ([[1.0]], [[-1.6]]), ([[1.0]], [[-0.55]])
@@ -139,6 +145,7 @@ def study(make_network_plant):
     return plant, table, switching_report(plant, table)
 
 
+@pytest.mark.nightly
 def test_report_of_the_gain_study(study):
     _, _, report = study
     assert report.levels == (3, 11, 12)
@@ -158,6 +165,7 @@ def test_report_of_the_gain_study(study):
     np.testing.assert_array_equal(held, held.T)
 
 
+@pytest.mark.nightly
 def test_switching_without_a_hold_diverges_and_a_hold_prevents_it(study):
     """The delays of the worst period, played to the table: unbounded, or decaying when held."""
     plant, table, report = study
@@ -177,6 +185,7 @@ def test_switching_without_a_hold_diverges_and_a_hold_prevents_it(study):
     assert sizes[short][-1] < 0.1 * sizes[short][0]  # K^(12) stays in force: certified
 
 
+@pytest.mark.nightly
 def test_hold_is_least_that_the_functionals_prove(study):
     """At the reported N a round trip contracts, at N - 1 it does not: from the numbers alone."""
     plant, table, report = study
@@ -189,6 +198,7 @@ def test_hold_is_least_that_the_functionals_prove(study):
         assert trip + N * np.log(other.contraction) >= 0.0
 
 
+@pytest.mark.nightly
 def test_gains_of_c1_share_one_functional(make_split_plant):
     plant = make_split_plant(100.0, 0.3)
     table = build_schedule(plant, 2, "razumikhin", decay_rate=0.03)
@@ -200,6 +210,7 @@ def test_gains_of_c1_share_one_functional(make_split_plant):
     assert report.covered().all()
 
 
+@pytest.mark.nightly
 def test_gains_without_certificate_are_never_covered(make_network_plant):
     plant = make_network_plant()
     table = build_schedule(plant, 2, "predictor")
@@ -209,6 +220,7 @@ def test_gains_without_certificate_are_never_covered(make_network_plant):
     assert report.covered(10**6).sum() == 1
 
 
+@pytest.mark.nightly
 def test_report_refuses_another_plants_schedule(study, make_network_plant):
     _, table, _ = study
     with pytest.raises(ValueError, match=r"sampling_s is 0\.02; it must be 0\.05"):

@@ -41,6 +41,7 @@ def test_parametrised_problems_are_compiled_once(make_network_plant, make_split_
         assert problem.parameters()
 
 
+@pytest.mark.nightly
 def test_re_solving_along_a_schedule_equals_solving_afresh(make_split_plant):
     plant = make_split_plant(100.0, 0.3)
     synthesis = RazumikhinSynthesis(plant, 0.03)
@@ -52,6 +53,7 @@ def test_re_solving_along_a_schedule_equals_solving_afresh(make_split_plant):
         np.testing.assert_array_equal(again[0], fresh[0])
 
 
+@pytest.mark.nightly
 def test_c3_synthesis_of_either_plant_passes_the_check(make_network_plant, make_split_plant):
     steps = 12  # both nominal loops are unstable there
     for plant in (make_network_plant(), make_split_plant(100.0, 1.0)):
@@ -94,6 +96,7 @@ def test_c3_for_a_fixed_functional_is_exact(make_network_plant, make_split_plant
         synthesis.closest_for(its_witness, 0)
 
 
+@pytest.mark.nightly
 def test_alternation_comes_closer_and_stays_certified(make_network_plant):
     plant = make_network_plant()
     synthesis = KrasovskiiSynthesis(plant)

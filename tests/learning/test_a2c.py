@@ -200,6 +200,7 @@ def test_permuting_users_permutes_shared_actions(scenario):
     assert np.ptp(actions) > 0.1
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("network", ["shared", "mlp"])
 def test_a_two_state_problem_is_solved(scenario, network):
     """One user of five is in need, 0 or 4: its action pays, those of the others cost."""

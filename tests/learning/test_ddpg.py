@@ -218,6 +218,7 @@ def test_before_learning_every_action_is_zero(scenario):
     assert (learner.act(random_batch().features) == 0.0).all()
 
 
+@pytest.mark.nightly
 def test_a_two_state_problem_is_solved(scenario):
     """One user of five is in need, URLLC user 0 or eMBB user 4; PRBs pay there and nowhere else."""
     learner, _ = learner_for(

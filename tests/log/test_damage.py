@@ -82,6 +82,7 @@ def cuts(data: bytes) -> Iterator[tuple[str, int]]:
     yield "in the last magic", len(data) - 3
 
 
+@pytest.mark.nightly
 def test_truncation_at_every_kind_of_record(
     tmp_path: Path, random_fields: Any, write_log: Any
 ) -> None:

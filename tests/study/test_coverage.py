@@ -73,6 +73,7 @@ def bootstrap(sample: FloatArray) -> tuple[float, float]:
     return float(low), float(high)
 
 
+@pytest.mark.nightly
 def test_skewed_shares_are_covered_where_t_and_bootstrap_fail() -> None:
     """What covers is wide: ten worlds of such a spread say little about their mean."""
     samples, mean = lognormal()
@@ -113,6 +114,7 @@ def test_a_single_share_above_0_is_covered_from_above() -> None:
     assert coverage(single, mean, skewed_interval).too_low <= 0.025 + error(0.025, len(single))
 
 
+@pytest.mark.nightly
 def test_values_about_normal_are_covered_as_closely_as_by_t() -> None:
     samples = np.random.default_rng(1).normal(1.0, 0.1, (SAMPLES, WORLDS))
     pivotal, student = (coverage(samples, 1.0, f) for f in (skewed_interval, mean_interval))

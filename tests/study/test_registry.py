@@ -91,6 +91,7 @@ def test_what_a_scenario_has_not_is_not_shown(
     assert names(variant_of_tiny(text)) <= names(tiny)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
