@@ -19,12 +19,11 @@ from common import Figure, cpu_seconds, main, paper
 
 # isort: split
 import numpy as np
-from hiersched.learning.policy import single_thread
 
 from hiersched.core.randomness import world_keys
 from hiersched.env import SlicingEnv
 from hiersched.experiments.gains import design_gains
-from hiersched.learning.trainer import Trainer
+from hiersched.learning.trainer import Trainer, single_thread
 from hiersched.scenario import Scenario
 from hiersched.simulator import Gains, Simulator
 from hiersched.simulator.loop_gains import loop_gains

@@ -191,7 +191,7 @@ def stage_seconds(
 
 def learned_runner(scenario: Scenario, learner: str, folder: Path) -> PolicySource:
     """One trained policy, which every world runs."""
-    path = folder / f"{learner}.pt"
+    path = folder / f"{learner}.json"
     some_policy(scenario, learner).save(path)
     return learned_policies([path])
 

@@ -21,10 +21,11 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
 import numpy as np  # noqa: E402
-from hiersched.learning.policy import TrainedPolicy  # noqa: E402
 from tabulate import tabulate  # noqa: E402
 
 from hiersched.learning.networks import learner_network  # noqa: E402
+from hiersched.policies.learned import num_parameters  # noqa: E402
+from hiersched.policies.trained import TrainedPolicy  # noqa: E402
 from hiersched.scenario import Scenario, load_scenario  # noqa: E402
 
 CONFIG = Path(__file__).resolve().parents[1] / "src/hiersched/config"
@@ -106,7 +107,7 @@ def some_policy(scenario: Scenario, learner: str) -> TrainedPolicy:
     """A learner's policy with small random weights: it takes as long as a trained one."""
     learning, users = scenario.learned[learner], scenario.users
     network = learner_network(learning, users)
-    shape = (2, network.actor.num_parameters)
+    shape = (2, num_parameters(network.actor.sizes))
     return TrainedPolicy(
         parameters=np.random.default_rng(0).normal(scale=0.05, size=shape).astype(np.float32),
         network=learning.network,
@@ -117,7 +118,7 @@ def some_policy(scenario: Scenario, learner: str) -> TrainedPolicy:
         weight_exponent=learning.weight_exponent,
         multipliers=np.zeros(users.num_urllc),
         seed=0,
-        scenario_sha256="",
+        scenario_sha256="0" * 64,
     )
 
 
