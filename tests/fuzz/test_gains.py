@@ -24,6 +24,7 @@ from hiersched.simulator.gain_source import design_schedule, read_gains, scenari
 from hiersched.study import study
 
 METHODS = ("krasovskii", "razumikhin", "predictor", "latency_compensated", "h2")
+LATER = [pytest.param(method, marks=pytest.mark.nightly) for method in METHODS[3:]]
 Document = dict[str, Any]
 
 
@@ -113,7 +114,7 @@ CHANGES: dict[str, Callable[[Document], None]] = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", [*METHODS[:3], *LATER])
 def test_other_gains_are_refused_though_the_checksum_is_right(
     tmp_path: Path, method: str, change: str
 ) -> None:
@@ -131,6 +132,7 @@ def test_other_gains_are_refused_though_the_checksum_is_right(
         read_gains(path, scenario)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("wanted", METHODS)
 @pytest.mark.parametrize("given", METHODS)
 def test_gains_of_another_method_are_refused(tmp_path: Path, given: str, wanted: str) -> None:

@@ -80,7 +80,7 @@ def drive(path: Path) -> int:
     return 0
 
 
-@pytest.mark.parametrize("count", [40, pytest.param(200, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("count", [15, pytest.param(200, marks=pytest.mark.nightly)])
 def test_a_mutated_reference_is_refused_or_driven(
     tmp_path: Path, run_each: Callable[..., Any], count: int
 ) -> None:

@@ -172,7 +172,7 @@ def run_slots(path: Path) -> int:
     return 0
 
 
-@pytest.mark.parametrize("count", [20, pytest.param(1000, marks=pytest.mark.nightly)])
+@pytest.mark.parametrize("count", [10, pytest.param(1000, marks=pytest.mark.nightly)])
 def test_a_mutated_scenario_is_refused_or_runs(
     tmp_path: Path, run_each: Callable[..., Any], count: int
 ) -> None:

@@ -122,6 +122,7 @@ def frame_bytes(data: bytes) -> list[int]:
     return places
 
 
+@pytest.mark.nightly
 def test_every_opcode_of_the_records(tmp_path: Path, unfinished: bytes) -> None:
     """A record in place of another one: each kind of each of the first of a kind."""
     result = recovered(tmp_path, unfinished)

@@ -144,6 +144,7 @@ def test_first_order_is_the_discretised_plant(speed_mps):
         np.testing.assert_allclose(column, B[:, j], atol=2e-6)
 
 
+@pytest.mark.nightly
 @pytest.mark.parametrize("reference", ["straight", "arc", "figure_eight", "zigzag", "file"])
 def test_without_slip_a_robot_stays_on_its_reference(reference):
     """Open loop for 10 s: the midpoint rule drifts by v T (ω Δt)² / 24, 0.04 mm on the zig-zag."""
