@@ -6,16 +6,8 @@ import math
 import random
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
-import numpy as np
 import pytest
-
-from hiersched.cli import main
-from hiersched.core.randomness import world_keys
-from hiersched.scenario import load_scenario
-from hiersched.simulator import Simulator
-from hiersched.simulator.loop_gains import nominal_gains
 
 SCENARIO = """
 extends: smoke
@@ -25,7 +17,6 @@ CELLS = (
     *("", " ", "x", "nan", "inf", "-inf", "1e308", "1e-320", "-0", "0x10", "1_0", "\u0661", "1,5"),
     *('"', '"1"', "'", "=1+1", "\x00", "\x1b[31m", "1e9", "-1e9", "1" * 400, "t", "None", "true"),
 )
-LIMIT_S = 10.0
 
 
 def circle(rng: random.Random) -> list[list[float]]:
@@ -67,25 +58,10 @@ def mutants(count: int) -> Iterator[bytes]:
         yield bytes(raw[: rng.choice((*[len(raw)] * 10, len(raw) // 2, 0))])
 
 
-def drive(path: Path) -> int:
-    """Check a scenario whose robots follow a file, as the command does; run an accepted one."""
-    status = main(["scenario", "check", str(path)])
-    if status:
-        return status
-    scenario = load_scenario(path)
-    record = Simulator(scenario, nominal_gains(scenario), world_keys("fuzz", 1, 1), 50).run("pf")
-    for name, values in record._asdict().items():
-        if values.dtype.kind == "f" and not np.isfinite(values).all():
-            raise AssertionError(f"{name} is not finite")
-    return 0
-
-
 @pytest.mark.parametrize("count", [15, pytest.param(200, marks=pytest.mark.nightly)])
 def test_a_mutated_reference_is_refused_or_driven(
-    tmp_path: Path, run_each: Callable[..., Any], count: int
+    tmp_path: Path, refused_or_run: Callable[..., int], count: int
 ) -> None:
-    smoke = load_scenario("smoke")  # compiled once, before the forks
-    Simulator(smoke, nominal_gains(smoke), world_keys("fuzz", 1, 1), 1).run("pf")
     paths = []
     for number, data in enumerate(mutants(count)):
         folder = tmp_path / str(number)
@@ -93,13 +69,4 @@ def test_a_mutated_reference_is_refused_or_driven(
         (folder / "track.csv").write_bytes(data)
         paths.append(folder / "mine.yaml")
         paths[-1].write_text(SCENARIO)
-    outcomes = run_each(drive, paths)
-    faults = []
-    for path, outcome in zip(paths, outcomes, strict=True):
-        controls = [c for c in outcome.printed if not c.isprintable() and c not in "\n\t"]
-        is_one_message = outcome.status in (0, 2) and "Traceback" not in outcome.printed
-        if not is_one_message or controls or outcome.seconds > LIMIT_S:
-            faults.append(f"{path} {outcome.status} {outcome.printed[-400:]!r}")
-    assert not faults, "\n".join(faults)
-    accepted = sum(outcome.status == 0 for outcome in outcomes)
-    assert count // 20 < accepted < count - count // 20
+    assert count // 20 < refused_or_run(paths) < count - count // 20

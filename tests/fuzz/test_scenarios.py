@@ -7,20 +7,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 import yaml
 
-from hiersched.cli import main
-from hiersched.core.randomness import world_keys
 from hiersched.scenario import load_scenario, scenario_to_dict
 from hiersched.scenario.plugins import CONFIG
-from hiersched.simulator import Simulator
-from hiersched.simulator.loop_gains import nominal_gains
 
 SHIPPED = ("smoke", "paper", "urban_macro", "linear_plant")
-NUM_SLOTS = 50
-LIMIT_S = 10.0
 VALUES: tuple[Any, ...] = (
     *(
         None,
@@ -158,39 +151,12 @@ def mutants(count: int) -> Iterator[bytes]:
             yield mutate_tree(copy, rng).encode("utf-8", "surrogatepass")
 
 
-def run_slots(path: Path) -> int:
-    """Check a scenario as the command does; run an accepted one for some slots."""
-    status = main(["scenario", "check", str(path)])
-    if status:
-        return status
-    scenario = load_scenario(path)
-    simulator = Simulator(scenario, nominal_gains(scenario), world_keys("fuzz", 1, 1), NUM_SLOTS)
-    record = simulator.run("pf")
-    for name, values in record._asdict().items():
-        if values.dtype.kind == "f" and not np.isfinite(values).all():
-            raise AssertionError(f"{name} is not finite")
-    return 0
-
-
 @pytest.mark.parametrize("count", [10, pytest.param(1000, marks=pytest.mark.nightly)])
 def test_a_mutated_scenario_is_refused_or_runs(
-    tmp_path: Path, run_each: Callable[..., Any], count: int
+    tmp_path: Path, refused_or_run: Callable[..., int], count: int
 ) -> None:
-    """No traceback, nothing that takes long, no control characters; what is accepted runs."""
-    smoke = load_scenario("smoke")  # compiled once, before the forks
-    Simulator(smoke, nominal_gains(smoke), world_keys("fuzz", 1, 1), 1).run("pf")
     paths = []
     for number, data in enumerate(mutants(count)):
         paths.append(tmp_path / f"m{number}.yaml")
         paths[-1].write_bytes(data)
-    outcomes = run_each(run_slots, paths)
-    faults = []
-    for path, outcome in zip(paths, outcomes, strict=True):
-        controls = [c for c in outcome.printed if not c.isprintable() and c not in "\n\t"]
-        is_one_message = outcome.status in (0, 2) and "Traceback" not in outcome.printed
-        if not is_one_message or controls or outcome.seconds > LIMIT_S:
-            faults.append(f"{path.name} {outcome.status} {outcome.seconds:.1f} s")
-            faults.append(repr(outcome.printed[-600:]))
-    assert not faults, "\n".join(faults)
-    accepted = sum(outcome.status == 0 for outcome in outcomes)
-    assert count // 20 < accepted < count // 2
+    assert count // 20 < refused_or_run(paths) < count // 2

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
+from hiersched.core.memory import physical_memory_bytes
 from hiersched.core.randomness import world_key
 from hiersched.experiments.points import experiments, groups
 from hiersched.models.model import num_model_values
@@ -97,7 +97,7 @@ def world_fault(scenario: Scenario, seconds: float) -> str | None:
 
 
 def _memory_fault(needed: float, what: str) -> str | None:
-    there = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    there = physical_memory_bytes()
     if needed <= there:
         return None
     return (

@@ -123,8 +123,8 @@ def load_run(path: str | os.PathLike[str]) -> LoggedRun:
         keys, episode_slots = _worlds(metadata, num_slots)
         if stage_delays := metadata.get("delays"):
             ForcedDelays.from_json(stage_delays)
-        if episode_slots < 1 or int(metadata.get("warmup_slots", "0")) < 0:
-            raise ValueError("slots_per_episode or warmup_slots: must be 1 or more, 0 or more")
+        if int(warmup := metadata.get("warmup_slots", "0")) < 0:
+            raise ValueError(f"warmup_slots = {warmup}: must be 0 or more")
     except (ScenarioError, ValueError, LookupError, TypeError, AttributeError) as error:
         raise fail(str(error)) from error
     if sha256 != metadata["scenario_sha256"]:
@@ -149,9 +149,9 @@ def _worlds(metadata: dict[str, str], num_slots: int) -> tuple[NDArray[np.uint64
     stage, seed = metadata["stage"], int(metadata["seed"])
     if stage not in ("train", "checkpoint"):
         return np.array([world_key(stage, seed)], np.uint64), num_slots
-    episode_slots = max(0, int(metadata["slots_per_episode"]))
-    if not episode_slots:
-        return np.empty(0, np.uint64), 0
+    episode_slots = int(metadata["slots_per_episode"])
+    if episode_slots < 1:
+        raise ValueError(f"slots_per_episode = {episode_slots}: must be 1 or more")
     episodes = -(-num_slots // episode_slots)
     if stage == "train":
         return world_keys(stage, seed, episodes), episode_slots

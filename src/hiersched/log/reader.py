@@ -15,6 +15,7 @@ from mcap.opcode import Opcode
 from mcap.records import ChunkIndex
 from numpy.typing import NDArray
 
+from hiersched.core.memory import physical_memory_bytes
 from hiersched.log.errors import LogError, reading
 from hiersched.log.events import Event, decode_events, encode_event
 from hiersched.log.layout import (
@@ -215,7 +216,7 @@ class LogReader:
             and chunk.message_start_time < stop * self.slot_ns
         ]
         claimed = sum(chunk.uncompressed_size for chunk in chunks)
-        if claimed > (there := os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")):
+        if claimed > (there := physical_memory_bytes()):
             raise self._fail(f"{topic} claims {claimed} bytes, this machine has {there}")
         count = claimed // layout.dtype.itemsize
         slots = np.empty(count, np.uint64)
