@@ -118,6 +118,7 @@ def make_terms():
             "arrival_packets_per_mbps": 1.0,
             "service_offset_mbps": 0.0,
             "multiplier": 0.0,
+            "drift_weight": 1.0,
         }
         scalars = {
             "service_packets_per_mbps": 1.0,

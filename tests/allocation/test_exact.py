@@ -27,6 +27,7 @@ def terms_of(rng: np.random.Generator, num_users: int, multiplier: float = 0.0) 
         multiplier=np.where(urllc, multiplier, 0.0),
         delay_exponent_per_mbps=0.16,
         violation_share=0.05,
+        drift_weight=rng.uniform(0.5, 2.0, num_users),
     )
 
 

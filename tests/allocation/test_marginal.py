@@ -89,6 +89,7 @@ class State(NamedTuple):
     backlog_packets: NDArray[np.float64]
     dexterity_index: NDArray[np.float64]
     multiplier: NDArray[np.float64]
+    drift_weight: NDArray[np.float64]
 
 
 class Slot(NamedTuple):
@@ -107,6 +108,7 @@ def run(words, rate, terms, *, weight=1.0, index=1.0, need=np.nan, slot=0):
     constants = Constants(num_urllc=num_users, service_coefficient_mbps=1.0, **named)
     of_users = (np.broadcast_to(np.asarray(x, float), num_users) for x in (weight, index, need))
     rows = (*of_users, terms.backlog_packets, terms.service_offset_mbps, terms.multiplier)
+    rows = (*rows, terms.drift_weight)
     state = State(np.array([slot]), rate[None], *(row[None].copy() for row in rows))
     owner = Slot(np.full(num_prb, 10**6, np.uint32))
     pointers = Pointer(constants), Pointer(state), Pointer(owner)

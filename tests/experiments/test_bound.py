@@ -80,7 +80,9 @@ def test_values_are_those_of_the_first_slot(tiny: Scenario, results: Path, run: 
     simulator = Simulator(scenario, gains, seed_worlds("evaluate", [11]), 1)
     rate = simulator.state.prb_rate_mbps[0].copy()
     robots = np.full(2, scenario.robot.initial_dexterity_index)
-    terms = slot_terms(simulator.constants, np.zeros(4), robots, np.zeros(2), np.zeros((2, 4)))
+    terms = slot_terms(
+        simulator.constants, np.zeros(4), robots, np.zeros(2), np.ones(4), np.zeros((2, 4))
+    )
     best = exact_allocation(rate, terms)
     assert float(row["exact"]) == pytest.approx(best.value)
     rates = owned_rates(rate, simulator.run("pf").prb_owner[0, 0])
@@ -94,7 +96,7 @@ def test_terms_of_a_slot_have_the_offset_of_the_dexterity_index(
     constants = Simulator(tiny, gains, seed_worlds("evaluate", [11]), 1).constants
     backlog, multiplier = np.array([1.0, 2.0, 3.0, 4.0]), np.array([5.0, 6.0])
     dexterity = np.array([0.6, 0.8])
-    terms = slot_terms(constants, backlog, dexterity, multiplier, np.zeros((2, 4)))
+    terms = slot_terms(constants, backlog, dexterity, multiplier, np.ones(4), np.zeros((2, 4)))
     beta = tiny.traffic.service_coefficient_mbps
     assert terms.service_offset_mbps.tolist() == [beta * 0.6, beta * 0.8, 0.0, 0.0]
     assert terms.backlog_packets.tolist() == backlog.tolist()

@@ -398,6 +398,7 @@ def test_the_exact_optimum_is_at_least_as_good_as_drift_plus_penalty(make_simula
                 state.backlog_packets[env],
                 state.dexterity_index[env],
                 multipliers[env],
+                np.ones(4),
                 np.zeros((2, 4)),
             )
             value = {}

@@ -54,9 +54,12 @@ def lagrangian(
     after_slope = -sensitivity * per_mbps * (offered > 0.0) - served * (rate_mbps >= offset)
     square = rate_mbps**2 + terms.epsilon
     missed = np.exp(-terms.delay_exponent_per_mbps * rate_mbps)
-    value = 0.5 * (after**2 - backlog**2) + terms.penalty_weight / square
+    drift_weight = terms.drift_weight[user]
+    value = drift_weight * (0.5 * (after**2 - backlog**2)) + terms.penalty_weight / square
     value = value - multiplier * (terms.violation_share - missed)
-    slope = after * after_slope - 2.0 * terms.penalty_weight * rate_mbps / square**2
+    slope = (
+        drift_weight * (after * after_slope) - 2.0 * terms.penalty_weight * rate_mbps / square**2
+    )
     slope = slope - multiplier * terms.delay_exponent_per_mbps * missed
     return value, slope
 

@@ -336,6 +336,7 @@ def allocate_by_utility(me: MarginalWords, constants: Any, state: Any, slot: Any
         state.backlog_packets[env],
         state.dexterity_index[env],
         state.multiplier[env],
+        state.drift_weight[env],
         me.of_users,
     )
     aim = Aim(me.utility, rate, weight, need, terms)

@@ -31,6 +31,7 @@ class UserTerms(NamedTuple):
     multiplier: NDArray[np.float64]
     delay_exponent_per_mbps: float
     violation_share: float
+    drift_weight: NDArray[np.float64]
 
 
 @register_jitable(inline="always")
@@ -39,12 +40,14 @@ def slot_terms(
     backlog_packets: NDArray[np.float64],
     dexterity_index: NDArray[np.float64],
     multiplier: NDArray[np.float64],
+    drift_weight: NDArray[np.float64],
     of_users: NDArray[np.float64],
 ) -> UserTerms:
     """Return the terms of a slot's Lagrangian, in Python and in kernels.
 
     `constants` are `simulator.SlotConstants`; backlogs (U,) at the start of the slot, dexterity and
-    multipliers (R,) in force. `of_users` (2, U), zeros beyond R, holds what is made of the two.
+    multipliers (R,) in force, weights of the drift (U,). `of_users` (2, U), zeros beyond R, holds
+    what is made of dexterity and multipliers.
     """
     for robot in range(constants.num_urllc):
         of_users[0, robot] = constants.service_coefficient_mbps * dexterity_index[robot]
@@ -61,6 +64,7 @@ def slot_terms(
         of_users[1],
         constants.delay_exponent_per_mbps,
         constants.violation_share,
+        drift_weight,
     )
 
 
@@ -106,7 +110,8 @@ def user_lagrangian(terms: UserTerms, user: int, rate_mbps: float) -> float:
     offset, per_mbps = terms.service_offset_mbps[user], terms.service_packets_per_mbps
     after = max(0.0, backlog + arrivals - offered_service(rate_mbps, offset, per_mbps))
     penalty = terms.penalty_weight * rate_penalty(rate_mbps, terms.epsilon)
-    value = 0.5 * (after * after - backlog * backlog) + penalty
+    drift = 0.5 * (after * after - backlog * backlog)
+    value = terms.drift_weight[user] * drift + penalty
     if multiplier > 0.0:
         value -= multiplier * delay_surrogate(
             rate_mbps, terms.delay_exponent_per_mbps, terms.violation_share

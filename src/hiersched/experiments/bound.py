@@ -96,6 +96,7 @@ def read_moments(path: Path, world: Simulator, count: int) -> Iterator[Moment]:
             fields["backlog_packets"][slot],
             fields["dexterity_index"][slot],
             fields["multiplier"][slot],
+            np.ones(len(rate)),
             np.zeros((2, len(rate))),
         )
         yield Moment(slot, rate, terms, owner)

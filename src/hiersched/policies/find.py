@@ -35,7 +35,7 @@ class ExactPolicy:
         owners = np.empty((num_envs, num_prb), np.uint32)
         for env, rate in enumerate(view.rate_mbps):
             state = (view.backlog_packets[env], view.dexterity_index[env], view.multiplier[env])
-            terms = slot_terms(view.constants, *state, np.zeros((2, num_users)))
+            terms = slot_terms(view.constants, *state, np.ones(num_users), np.zeros((2, num_users)))
             owners[env] = exact_allocation(rate, terms).prb_owner
         return Owners(owners)
 

@@ -210,6 +210,7 @@ def _decide(plugs: Any, constants: Any, state: Any, slot: Any, env: int) -> None
     for user in range(slot.rate_mbps.shape[0]):  # what the kernel does not write is found
         state.index_weight[env, user] = 1.0 if known else np.nan
         state.need_mbps[env, user] = np.nan
+        state.drift_weight[env, user] = 1.0
     if not known:
         call_plug(plugs.rule, constants, state, slot, env)
     call_plug(plugs.allocate, constants, state, slot, env)

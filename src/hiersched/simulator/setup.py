@@ -56,11 +56,31 @@ class SlotState(NamedTuple):
     weight: NDArray[np.float64]  # (E, U) factors of the utilities by a policy
     index_weight: NDArray[np.float64]  # (E, U) of the rule's utilities, or urgencies
     need_mbps: NDArray[np.float64]  # (E, U) rate that a user can use of the slot
+    drift_weight: NDArray[np.float64]  # (E, U) factors of the drift in the Lagrangian by a rule
     delay_s: NDArray[np.float64]  # (E, R) in force
     dexterity_index: NDArray[np.float64]  # (E, R) in force
     gain_delay_steps: NDArray[np.uint32]  # (E, R) delay whose adjusted gain is in force, 0: nominal
     robot_state: NDArray[np.float64]  # (E, R, N) at the end of the last slot
+    # What a base station may know of the robots' task at the start of the coming slot. Newest is
+    # the last set-point that has reached its queue, held the one that the robot goes by.
+    set_point_age_s: NDArray[np.float64]  # (E, R) of the held one
+    set_point_speed_mps: NDArray[np.float64]  # (E, R) of the newest
+    waiting_speed_mps: NDArray[np.float64]  # (E, R) greatest of those that wait, and the newest
+    set_point_acceleration_mps2: NDArray[np.float64]  # (E, R) of the newest, magnitude
+    set_point_gap_m: NDArray[np.float64]  # (E, R) distance of newest and held
+    reported_error_m: NDArray[np.float64]  # (E, R) position error as last reported
     model_values: NDArray[np.float64]  # (E, X) for the record (`Model.log_fields`); 0 until written
+
+
+TASK_STATE = (
+    "set_point_age_s",
+    "set_point_speed_mps",
+    "waiting_speed_mps",
+    "set_point_acceleration_mps2",
+    "set_point_gap_m",
+    "reported_error_m",
+)
+"""Fields of `SlotState` that say what the robots' task asks for."""
 
 
 def slot_constants(scenario: Scenario, gains: Gains) -> SlotConstants:
@@ -157,6 +177,7 @@ def slot_state(setup: Setup, *, has_report: bool) -> SlotState:
         "prb_rate_mbps": of_prbs,
         "reported_rate_mbps": of_prbs,
         **dict.fromkeys(("multiplier", "delay_s", "dexterity_index"), of_robots),
+        **dict.fromkeys(TASK_STATE, of_robots),
         "gain_delay_steps": of_robots,
         "robot_state": (*of_robots, scenario.robot_sizes[0]),
         "model_values": (num_envs, num_model_values(scenario)),
@@ -181,6 +202,7 @@ def reset_state(state: SlotState, scenario: Scenario, keys: NDArray[np.uint64]) 
         values[...] = 0
     state.key[:] = keys
     state.weight[:] = 1.0
+    state.drift_weight[:] = 1.0
     state.delay_s[:] = scenario.robot.core_latency_s  # until the network has delivered something
     state.dexterity_index[:] = scenario.robot.initial_dexterity_index
     state.snr[:] = _snr_at_unit_fading(scenario, keys)
