@@ -22,6 +22,7 @@ STREAM_ARRIVAL = np.uint32(1)
 STREAM_ROBOT = np.uint32(2)
 STREAM_POSITION = np.uint32(3)
 STREAM_DELAY = np.uint32(4)
+STREAM_REFERENCE = np.uint32(5)
 FIRST_FREE_STREAM = 64
 """Streams below it are those of this package; a plug-in takes numbers from here on."""
 

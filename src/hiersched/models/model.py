@@ -167,7 +167,8 @@ class Arrivals(Model):
 class Plant(Model):
     """What the robots are.
 
-    `has_pose`: whether robots have a position, for what looks at it. `chooses_loop`: whether
+    `has_pose`: whether robots have a position, for what looks at it, and a reference that may be
+    late. `chooses_loop`: whether
     `control.loop` decides what crosses the network. `design_keys`: keys on which `design` depends;
     None: on all.
     """
@@ -176,8 +177,8 @@ class Plant(Model):
     chooses_loop: ClassVar[bool] = False
     design_keys: ClassVar[tuple[str, ...] | None] = None
 
-    def loop(self, scenario: Scenario) -> Literal["network", "split"]:
-        """Return what crosses the network: all feedback, or a part."""
+    def loop(self, scenario: Scenario) -> Literal["network", "split", "local"]:
+        """Return what crosses the network: all feedback, a part, or none."""
         return scenario.control.loop if self.chooses_loop else "network"
 
     def sizes(self, scenario: Scenario) -> tuple[int, int, int]:

@@ -46,7 +46,9 @@ SERVE = Seam(
     "traffic.queue",
     reads="slot.arrivals_packets, slot.service_packets (U,): offered; state.backlog_packets[env]",
     writes="state.backlog_packets[env], state.hol_delay_s[env] (U,) at the end of the slot; "
-    "slot.delay_s, slot.due_packets, slot.late_packets (U,)",
+    "slot.delay_s, slot.due_packets, slot.late_packets, slot.superseded_packets (U,); where "
+    "constants.tracks_age, state.held_step[env] (R, S): step of the world whose set-point is in "
+    "force in each of the slot's steps",
 )
 DRIVE = Seam(
     "plant",

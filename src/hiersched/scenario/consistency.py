@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from hiersched.core.parameters import read_strictly
 from hiersched.core.registry import ALGORITHMS, BUILT_IN_ALGORITHMS
 from hiersched.models.model import SECTIONS
-from hiersched.models.plant.reference import period_s
+from hiersched.models.plant.reference import period_s, tasks_of
 from hiersched.policies.find import UNTRAINED, ImportedPolicy, untrained_names
 from hiersched.scenario.fault_text import own_faults
 from hiersched.scenario.reference_file import reference_faults
@@ -175,6 +175,7 @@ def _times(scenario: Scenario) -> list[str]:
     period = period_s(scenario.robot) / scenario.robot.substep_s
     return [
         *_multiples(scenario, "robot.substep_s", "radio.slot_s", "control.sampling_s"),
+        *_tasks(scenario),
         *_multiples(scenario, "radio.slot_s", "robot.window_s"),
         *_multiples(scenario, "control.sampling_s", "robot.window_s"),
         *_broken(
@@ -192,6 +193,41 @@ def _times(scenario: Scenario) -> list[str]:
                 longest > MAX_DELAY_STEPS,
                 f"control.max_delay_s = {scenario.control.max_delay_s}: {longest} samples of "
                 f"control.sampling_s, at most {MAX_DELAY_STEPS} (one gain is designed for each)",
+            ),
+        ),
+    ]
+
+
+def _tasks(scenario: Scenario) -> list[str]:
+    """Check what operators drive, and how set-points reach the robots."""
+    robot, plant, queue = scenario.robot, scenario.plant, scenario.traffic.queue
+    faults = []
+    try:
+        tasks_of(robot, scenario.users.num_urllc)
+    except ValueError as error:
+        faults.append(str(error))
+    for name in ("reach_duration_s", "reach_length_m", "reach_pause_s"):
+        low, high = getattr(robot, name)
+        if low > high:
+            faults.append(f"robot.{name} = [{low}, {high}]: the least must come first")
+    late = f"robot.set_point = {robot.set_point!r}"
+    follows = f"traffic.queue.model = {queue.model!r}"
+    return [
+        *faults,
+        *_broken(
+            (
+                robot.set_point != "present" and not plant.has_pose,
+                f"{late}: needs a plant with a reference, not {plant.model!r}",
+            ),
+            (
+                scenario.tracks_age and not getattr(queue, "tracks_packets", False),
+                f"{follows}: must be one that follows packets (`tracks_packets`), such as 'fifo', "
+                f"with {late} and control.delay = {scenario.control.delay!r}",
+            ),
+            (
+                robot.superseding != "none" and not getattr(queue, "tracks_packets", False),
+                f"{follows}: must be one that follows packets (`tracks_packets`), such as 'fifo', "
+                f"with robot.superseding = {robot.superseding!r}",
             ),
         ),
     ]

@@ -124,7 +124,9 @@ def _with_points(merged: dict[str, Any], sources: _Sources) -> dict[str, Any]:
         for axis in (axes.values() if isinstance(axes, dict) else ())
         if isinstance(axis, dict) and isinstance(axis.get("vary"), dict)
     ]
-    if robot.get("reference") != "file" and not any(
+    followed = robot.get("reference")
+    followed = followed if isinstance(followed, list) else [followed]
+    if "file" not in followed and not any(
         isinstance(values, list) and "file" in values for values in swept
     ):
         raise ScenarioError(

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.models.plant.reference import arc_lengths, displacements, turns
+from hiersched.models.plant.reference import arc_lengths, displacements, references_of, turns
 from hiersched.scenario.schema import Scenario
 
 COLUMNS = ("t", "x", "y", "theta")
@@ -89,7 +89,7 @@ def reference_faults(scenario: Scenario, *, swept: bool = False) -> list[str]:
     In a `swept` one, a point of a sweep, they follow them for as long as the sweep's worlds are.
     """
     robot = scenario.robot
-    if robot.reference != "file":
+    if "file" not in references_of(robot):
         return []
     if robot.reference_points is None:
         return ["robot.reference = 'file': needs robot.reference_file"]

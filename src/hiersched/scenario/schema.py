@@ -25,7 +25,9 @@ from hiersched.policies.registry import Rule
 from hiersched.scenario.choice import chosen_from, policy_entry
 
 GainMethod = Literal["krasovskii", "razumikhin", "predictor", "latency_compensated", "h2"]
-Reference = Literal["straight", "arc", "figure_eight", "zigzag", "file"]
+Reference = Literal["straight", "arc", "figure_eight", "zigzag", "reach", "file"]
+Range = tuple[Positive, Positive]
+"""Least and greatest."""
 Need = Literal["none", "backlog", "backlog_and_arrivals"]
 LearnerName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=60)]
 AxisName = Annotated[str, Field(pattern=r"^[a-z][A-Za-z0-9_.]*$", max_length=60)]
@@ -112,7 +114,10 @@ class Schedulers(_Strict):
 class Robot(_Strict):
     """The teleoperated robots and their world."""
 
-    reference: Reference
+    reference: Reference | Annotated[tuple[Reference, ...], NonEmpty]
+    reference_scale: Positive | Annotated[tuple[Positive, ...], NonEmpty]
+    reference_pace: Positive | Annotated[tuple[Positive, ...], NonEmpty]
+    reference_shuffle: bool
     reference_file: str | None
     reference_points: tuple[tuple[float, float, float, float], ...] | None
     reference_repeat: bool
@@ -120,6 +125,12 @@ class Robot(_Strict):
     eight_half_width_m: Positive
     zigzag_heading_deg: Annotated[float, Field(gt=0, le=90)]
     zigzag_period_m: Positive
+    reach_duration_s: Range
+    reach_length_m: Range
+    reach_turn_rad: NonNegative
+    reach_pause_s: Range
+    set_point: Literal["present", "hold", "extrapolate"]
+    superseding: Literal["none", "packet", "batch"]
     speed_mps: Positive
     actuator_lag_s: Positive
     substep_s: Annotated[float, Field(gt=0, le=0.0025)]
@@ -142,7 +153,9 @@ class Control(_Strict):
     sampling_s: Positive
     weight: Positive
     max_delay_s: Positive
-    loop: Literal["network", "split"]
+    loop: Literal["network", "split", "local"]
+    delay: Literal["sojourn", "age"]
+    sample_phases: Literal["aligned", "spread"]
     operator_share: Annotated[float, Field(gt=0, le=1)]
     method: GainMethod
     decay_rate: Annotated[float, Field(ge=0, lt=1)]
@@ -311,8 +324,8 @@ class Scenario(_Strict):
         return self.plant.sizes(self)
 
     @property
-    def loop_kind(self) -> Literal["network", "split"]:
-        """Whether all feedback crosses the network, or a part of it."""
+    def loop_kind(self) -> Literal["network", "split", "local"]:
+        """Whether all feedback crosses the network, a part of it, or none."""
         return self.plant.loop(self)
 
     @property
@@ -321,8 +334,20 @@ class Scenario(_Strict):
         return self.loop_kind if self.plant.chooses_loop else self.plant.model
 
     @property
+    def steps_per_slot(self) -> int:
+        """Integration steps of a robot in a slot."""
+        return round(self.radio.slot_s / self.robot.substep_s)
+
+    @property
+    def tracks_age(self) -> bool:
+        """Whether the age of set-points matters: they are late, or the delay is an age."""
+        return self.robot.set_point != "present" or self.control.delay == "age"
+
+    @property
     def max_delay_steps(self) -> int:
         """T_max, the largest delay that a gain is designed for, in control samples."""
+        if self.loop_kind == "local":
+            return 0
         return delay_steps(self.control.max_delay_s, self.control.sampling_s)
 
 

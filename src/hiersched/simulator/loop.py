@@ -103,6 +103,8 @@ def run_slots(
             call_plug(plugs.deliver, constants, state, slot, env)
             call_plug(plugs.arrivals, constants, state, slot, env)
             _offer_service(constants, state, slot, env)
+            if constants.tracks_age:
+                state.held_step[env] = -1  # what the queue does not write is found
             call_plug(plugs.queue, constants, state, slot, env)
             _account(constants, state, slot, env)
             _move_robots(plugs, constants, state, slot, env)
@@ -146,6 +148,7 @@ def run_robots(
             copy(state.dexterity_index[env], slot.dexterity_index)
             copy(network_delay_s[env, index], slot.network_delay_s)
             copy(network_delay_s[env, index], state.delay_s[env])
+            _force_ages(constants, state, env)
             _move_robots(plugs, constants, state, slot, env)
             _end_slot(state, one, env, rows[env, index])
         _check_robots(state.robot_state[env])
@@ -290,11 +293,48 @@ def _account(constants: Any, state: Any, slot: Any, env: int) -> None:
     slot.reward_embb[()] = -(drift_embb + weight * penalty_embb) / ((num_users - num_urllc) * scale)
 
 
+@inner_kernel()
+def _force_ages(constants: Any, state: Any, env: int) -> None:
+    """Let set-points be as old as the delays in force."""
+    steps = state.held_step.shape[2]
+    first = state.slot[env] * steps
+    for robot in range(state.held_step.shape[1]):
+        age = np.int64(np.rint(state.delay_s[env, robot] / constants.slot_s * steps))
+        for step in range(steps):
+            state.held_step[env, robot, step] = max(0, first + step - age)
+
+
+@inner_kernel()
+def _note_ages(constants: Any, state: Any, slot: Any, env: int) -> None:
+    """Note how old the set-points in force are; a delay that is an age is that at the slot's start.
+
+    At the end of the slot all are a step older than at the start of its last step.
+    """
+    steps = state.held_step.shape[2]
+    first = state.slot[env] * steps
+    step_s = constants.slot_s / steps
+    for robot in range(state.held_step.shape[1]):
+        for step in range(steps):
+            if not 0 <= state.held_step[env, robot, step] <= first + step:
+                raise ValueError(
+                    "a queue left state.held_step[env] without the set-points in force"
+                )
+        if constants.loop.by_age:
+            state.delay_s[env, robot] = (first - state.held_step[env, robot, 0]) * step_s
+        age = (first + steps - state.held_step[env, robot, steps - 1]) * step_s
+        slot.set_point_age_s[robot] = age
+        state.set_point_age_s[env, robot] = age
+
+
 @inner_kernel(forceinline=True)
 def _move_robots(plugs: Any, constants: Any, state: Any, slot: Any, env: int) -> None:
     """Move all robots through the slot with the network delays in force."""
     loop = constants.loop
+    if constants.tracks_age:
+        _note_ages(constants, state, slot, env)
     for robot in range(slot.delay_steps.shape[0]):
+        if loop.is_local:
+            state.delay_s[env, robot] = 0.0
         steps = steps_of_delay(state.delay_s[env, robot], loop.sampling_s)
         slot.delay_steps[robot] = steps
         slot.delay_capped[robot] = 1 if steps > loop.max_delay_steps else 0

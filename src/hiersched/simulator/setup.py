@@ -36,6 +36,8 @@ class SlotConstants(NamedTuple):
     measured_constraint: bool  # whether the constraint is on late shares
     average_forgetting: float  # 1 / window of the moving average rate
     reward_scale: float  # rewards are divided by it
+    tracks_age: bool  # whether the queue follows the age of set-points, `SlotState.held_step`
+    superseding: int  # 0: of no packets, 1: of packets, 2: of batches
     loop: LoopConstants  # gains, delays and latency of the robots' loops
 
 
@@ -60,6 +62,7 @@ class SlotState(NamedTuple):
     delay_s: NDArray[np.float64]  # (E, R) in force
     dexterity_index: NDArray[np.float64]  # (E, R) in force
     gain_delay_steps: NDArray[np.uint32]  # (E, R) delay whose adjusted gain is in force, 0: nominal
+    held_step: NDArray[np.int64]  # (E, R, S) step whose set-point is in force in each of the slot
     robot_state: NDArray[np.float64]  # (E, R, N) at the end of the last slot
     # What a base station may know of the robots' task at the start of the coming slot. Newest is
     # the last set-point that has reached its queue, held the one that the robot goes by.
@@ -72,6 +75,7 @@ class SlotState(NamedTuple):
     model_values: NDArray[np.float64]  # (E, X) for the record (`Model.log_fields`); 0 until written
 
 
+SUPERSEDING = ("none", "packet", "batch")
 TASK_STATE = (
     "set_point_age_s",
     "set_point_speed_mps",
@@ -113,6 +117,8 @@ def slot_constants(scenario: Scenario, gains: Gains) -> SlotConstants:
         measured_constraint=objective.constraint == "measured",
         average_forgetting=1.0 / scenario.schedulers.average_window_slots,
         reward_scale=scenario.learning.reward_scale,
+        tracks_age=scenario.tracks_age,
+        superseding=SUPERSEDING.index(scenario.robot.superseding),
         loop=_loop_constants(scenario, gains),
     )
 
@@ -160,6 +166,8 @@ def _loop_constants(scenario: Scenario, gains: Gains) -> LoopConstants:
         **tables,
         has_memory=bool(tables["input_gain"].any()),
         hold_samples=scenario.control.hold_samples,
+        is_local=scenario.loop_kind == "local",
+        by_age=scenario.control.delay == "age",
         adjusted_delay_steps=np.where(gains.adjusted, np.arange(count), 0).astype(np.uint32),
     )
 
@@ -179,10 +187,12 @@ def slot_state(setup: Setup, *, has_report: bool) -> SlotState:
         **dict.fromkeys(("multiplier", "delay_s", "dexterity_index"), of_robots),
         **dict.fromkeys(TASK_STATE, of_robots),
         "gain_delay_steps": of_robots,
+        "held_step": (*of_robots, scenario.steps_per_slot),
         "robot_state": (*of_robots, scenario.robot_sizes[0]),
         "model_values": (num_envs, num_model_values(scenario)),
     }
-    types: dict[str, Any] = {"key": np.uint64, "slot": np.int64, "gain_delay_steps": np.uint32}
+    types: dict[str, Any] = {"key": np.uint64, "gain_delay_steps": np.uint32}
+    types |= dict.fromkeys(("slot", "held_step"), np.int64)
     types |= dict.fromkeys(("fading_power", "prb_rate_mbps", "reported_rate_mbps"), np.float32)
     state = SlotState(
         *(

@@ -22,6 +22,8 @@ class LoopConstants(NamedTuple):
     input_gain: NDArray[np.float64]  # (T_max + 1, T_max, m, m) on past commands, the newest first
     has_memory: bool  # whether any of `input_gain` is not 0
     hold_samples: int  # for which an entry of the tables is held
+    is_local: bool  # whether the loop closes on the robot, without delay
+    by_age: bool  # whether the delay is the age of the newest packet delivered
     adjusted_delay_steps: NDArray[np.uint32]  # (T_max + 1,) T, but 0 where its gain is the nominal
 
 

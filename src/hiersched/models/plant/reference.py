@@ -1,14 +1,15 @@
 """References that the robots follow, sampled at the midpoint of every integration step.
 
-A reference is a path, given by its curvature over the arc length and driven at constant speed, or
-by points of a file; the pose follows by integration.
+A reference is a path, given by its curvature over the arc length and driven at constant speed; or
+by points of a file; or an operator's reaches and pauses, which each world draws for itself. The
+pose follows by integration.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -79,13 +80,78 @@ _PATHS: dict[str, tuple[Callable[[Robot], float], Callable[[Robot, FloatArray], 
 """Length [m] after which a path repeats itself, 0 for never, and its curvature [1/m] by way."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """What an operator drives: a reference by name, with its own scale and pace."""
+
+    reference: str
+    scale: float
+    pace: float
+
+
+def tasks_of(robot: Robot, num_robots: int) -> tuple[Task, ...]:
+    """Return the task of each robot, before worlds shuffle them.
+
+    ValueError if a list has another length.
+    """
+    columns = []
+    for name in ("reference", "reference_scale", "reference_pace"):
+        value = getattr(robot, name)
+        values = value if isinstance(value, tuple) else (value,) * num_robots
+        if len(values) != num_robots:
+            raise ValueError(
+                f"robot.{name} has {len(values)} entries: must be one for all robots, or "
+                f"{num_robots} of them"
+            )
+        columns.append(values)
+    return tuple(
+        Task(reference=name, scale=scale, pace=pace)
+        for name, scale, pace in zip(*columns, strict=True)
+    )
+
+
+def references_of(robot: Robot) -> tuple[str, ...]:
+    """Return the references of a scenario's robots, each once."""
+    value = robot.reference
+    return tuple(dict.fromkeys(value if isinstance(value, tuple) else (value,)))
+
+
 def period_s(robot: Robot) -> float:
-    """Return how long a reference takes until it repeats itself [s]; 0 where it does not."""
-    if robot.reference == "file":
-        points = robot.reference_points or ((0.0, 0.0, 0.0, 0.0),)
-        return float(points[-1][0]) if robot.reference_repeat else 0.0
-    period_m, _ = _PATHS[robot.reference]
-    return period_m(robot) / robot.speed_mps
+    """Return how long the longest reference takes until it repeats itself [s]; 0 if none does.
+
+    A pace is not counted.
+    """
+    longest = 0.0
+    for name in references_of(robot):
+        if name == "file" and robot.reference_repeat and robot.reference_points:
+            longest = max(longest, float(robot.reference_points[-1][0]))
+        elif name in _PATHS:
+            longest = max(longest, _PATHS[name][0](robot) / robot.speed_mps)
+    return longest
+
+
+def task_table(
+    robot: Robot, task: Task, num_steps: int, count: int
+) -> tuple[ReferenceTable, NDArray[np.int64]]:
+    """Return the reference of `count` robots with the same task, which no world draws.
+
+    As `reference_table`, with the task's scale and pace.
+    """
+    points = robot.reference_points
+    if points is not None:
+        points = tuple((t / task.pace, x, y, theta) for t, x, y, theta in points)
+    own = replace(
+        robot,
+        reference=task.reference,
+        reference_points=points,
+        speed_mps=robot.speed_mps * task.pace,
+    )
+    table, offset = reference_table(own, num_steps, count)
+    if task.scale == 1.0:
+        return table, offset
+    pose = table.pose.copy()
+    pose[:, :2] = pose[0, :2] + task.scale * (pose[:, :2] - pose[0, :2])
+    return replace(table, pose=pose, speed_mps=task.scale * table.speed_mps), offset
 
 
 def reference_table(
@@ -98,7 +164,7 @@ def reference_table(
     Returns the table and the first step of each robot, shape (num_robots,). ValueError on an
     unknown name, or if a reference from a file ends too early.
     """
-    name, step_s, speed_mps = robot.reference, robot.substep_s, robot.speed_mps
+    name, step_s, speed_mps = str(robot.reference), robot.substep_s, robot.speed_mps
     if name == "file":
         points = np.array(robot.reference_points, dtype=np.float64)
         return driven_table(
@@ -121,7 +187,7 @@ def reference_table(
     total = num_steps + int(offset.max(initial=0))
     middle_m = (np.arange(total, dtype=np.float64) + 0.5) * (step_s * speed_mps)
     turn_rate = speed_mps * curvature(robot, middle_m)
-    return _integrated(np.full(total, speed_mps), turn_rate, step_s, np.zeros(3)), offset
+    return integrated(np.full(total, speed_mps), turn_rate, step_s, np.zeros(3)), offset
 
 
 def driven_table(
@@ -154,10 +220,10 @@ def driven_table(
     arc = np.interp(within_s, time_s, arc_m) + rounds * (arc_m[-1] - arc_m[0])
     heading = np.interp(within_s, time_s, heading_rad) + rounds * (heading_rad[-1] - heading_rad[0])
     start = np.array([*start_m, heading_rad[0]])
-    return _integrated(np.diff(arc) / step_s, np.diff(heading) / step_s, step_s, start), offset
+    return integrated(np.diff(arc) / step_s, np.diff(heading) / step_s, step_s, start), offset
 
 
-def _integrated(
+def integrated(
     speed_mps: FloatArray,
     turn_rate: FloatArray,
     step_s: float,

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from hiersched.core.compiled import inner_kernel
@@ -20,7 +21,7 @@ from hiersched.core.randomness import NormalScratch, draw_normals, normal_scratc
 from hiersched.models.model import PLANT, Plant, Setup
 from hiersched.models.plant.dexterity import MIN_SPEED_MPS, window_index
 from hiersched.models.plant.feedback import LoopConstants, LoopMemory, close_loop, forget
-from hiersched.models.plant.reference import reference_table
+from hiersched.models.plant.operator import OperatorWords, draw_references, operator_words
 from hiersched.models.seams import DRIVE
 
 if TYPE_CHECKING:
@@ -40,7 +41,12 @@ STATE, SLIP, CONTROL, WINDOW_SUMS, SLOT_SQUARE, NORMALS, _END = (
 """Where the fields of a block begin: state (5), slip (2), control (2), window sums (3), the
 slot's sum of squared position errors, normals (5), each LANES times."""
 
-NUM_PATH = 5
+NUM_PATH = 6
+"""What a block gathers of each step's reference: the rows of `UnicycleWords.path`, of which the
+speed is that of the set-point in force, and by how much faster than the reference that turns."""
+
+SET_POINTS = ("present", "hold", "extrapolate")
+PRESENT, EXTRAPOLATE = 0, 2
 
 
 class UnicycleWords(NamedTuple):
@@ -58,9 +64,14 @@ class UnicycleWords(NamedTuple):
     noise_position_m: float
     noise_heading_rad: float
     input_limits: NDArray[np.float64]  # (2,) m/s and rad/s
-    path: NDArray[np.float64]  # (N, 5) reference of each step: `ReferenceTable.rows`
-    pose: NDArray[np.float64]  # (N + 1, 3) its poses
-    offset: NDArray[np.int64]  # (R,) where each robot starts in it
+    set_point: int  # code in `SET_POINTS`
+    is_spread: bool  # whether control samples have phases
+    phase: NDArray[np.int64]  # (R,) of each robot's control samples, in steps
+    reported_slots: int  # age of the error that the base station knows at the end of a slot
+    reported: NDArray[np.float64]  # (E, R, reported_slots + 1) errors until it knows them
+    newest: NDArray[np.int64]  # (E, R) slot whose set-point was the last to reach the queue
+    peak: NDArray[np.int64]  # (E, R) slot of the fastest set-point that waits
+    operator: OperatorWords  # references
     lanes: NDArray[np.float64]  # (E, blocks, 18 LANES) blocks of LANES robots
     memory: LoopMemory
     normals: NormalScratch
@@ -68,7 +79,7 @@ class UnicycleWords(NamedTuple):
 
     def set_state(self, value: NDArray[np.float64]) -> None:
         """Put all robots into states, shape (E, R, 5) or broadcast to it."""
-        num_envs, num_robots = len(self.lanes), len(self.offset)
+        num_envs, num_robots = self.operator.offset.shape
         value = np.broadcast_to(value, (num_envs, num_robots, NUM_STATES))
         for robot in range(num_robots):
             block, lane = divmod(robot, LANES)
@@ -107,7 +118,7 @@ class Unicycle(Plant):
             *unicycle_error_model(robot.speed_mps, 0.0, robot.actuator_lag_s), control.sampling_s
         )
         Q, R = tracking_weights(control.weight, control.sampling_s)
-        if control.loop == "network":
+        if control.loop != "split":
             return network_plant(A, B, Q, R, sampling_s=control.sampling_s)
         return split_plant(
             A,
@@ -125,14 +136,16 @@ class Unicycle(Plant):
         robot, control, slot_s = scenario.robot, scenario.control, scenario.radio.slot_s
         step_s = robot.substep_s
         steps_per_slot = round(slot_s / step_s)
-        table, offset = reference_table(robot, setup.num_slots * steps_per_slot, num_robots)
+        steps_per_sample = round(control.sampling_s / step_s)
+        of_robots = (setup.num_envs, num_robots)
+        reported_slots = math.ceil(robot.core_latency_s / slot_s - 1e-9)
         decay = float(np.exp(-step_s / robot.actuator_lag_s))
         slip_decay = float(np.exp(-slot_s / robot.slip_time_s))
         slip_spread = float(np.sqrt(1.0 - slip_decay**2))
         return UnicycleWords(
             step_s=step_s,
             steps_per_slot=steps_per_slot,
-            steps_per_sample=round(control.sampling_s / step_s),
+            steps_per_sample=steps_per_sample,
             steps_per_window=round(robot.window_s / step_s),
             lag_decay=decay,
             lag_mean=(1.0 - decay) * robot.actuator_lag_s / step_s,
@@ -142,9 +155,14 @@ class Unicycle(Plant):
             noise_position_m=robot.noise_position_m,
             noise_heading_rad=robot.noise_heading_rad,
             input_limits=np.array([robot.max_speed_mps, robot.max_turn_rate_radps]),
-            path=table.rows(),
-            pose=table.pose,
-            offset=offset,
+            set_point=SET_POINTS.index(robot.set_point),
+            is_spread=control.sample_phases == "spread",
+            phase=np.arange(num_robots) * steps_per_sample // num_robots,
+            reported_slots=reported_slots,
+            reported=np.zeros((*of_robots, reported_slots + 1)),
+            newest=np.zeros(of_robots, np.int64),
+            peak=np.zeros(of_robots, np.int64),
+            operator=operator_words(setup),
             lanes=np.zeros((setup.num_envs, -(-num_robots // LANES), _END)),
             memory=setup.loop_memory(NUM_STATES, NUM_INPUTS),
             normals=normal_scratch(num_robots, 5),
@@ -153,27 +171,44 @@ class Unicycle(Plant):
 
     def reset(self, words: UnicycleWords, keys: NDArray[np.uint64]) -> None:
         """As in `Model`: robots at rest on their reference."""
-        words.lanes[...] = 0.0
+        draw_references(words.operator, keys)
+        for values in (words.lanes, words.reported, words.newest, words.peak):
+            values[...] = 0
         forget(words.memory)
 
 
 @inner_kernel(forceinline=True)
 def _start_slot(
-    me: UnicycleWords, lanes: NDArray[np.float64], slot: Any, first: int, begin: int, end: int
+    me: UnicycleWords,
+    lanes: NDArray[np.float64],
+    state: Any,
+    slot: Any,
+    env: int,
+    begin: int,
+    end: int,
 ) -> None:
-    """Give a block, robots `begin` to `end`, its normals and its reference from a step on.
+    """Give a block, robots `begin` to `end`, its normals and its reference in the slot.
 
     The slip goes on by the normals; the slot's sum of squares starts at 0.
     """
+    path, first = me.operator.path, state.slot[env] * me.steps_per_slot
     for robot in range(begin, end):
         lane = robot - begin
         for j in range(5):
             lanes[NORMALS + j * LANES + lane] = np.float64(slot.robot_normal[robot, j])
-        place = me.offset[robot] + first
+        start = me.operator.offset[env, robot]
+        place = start + first
         for step in range(me.steps_per_slot):
-            for field in range(NUM_PATH):
+            for field in range(5):
                 to = (step * NUM_PATH + field) * LANES + lane
-                me.gathered[to] = me.path[place + step, field]
+                me.gathered[to] = path[place + step, field]
+            to = (step * NUM_PATH + 4) * LANES + lane
+            if me.set_point == PRESENT:
+                me.gathered[to + LANES] = 0.0
+            else:
+                held = start + state.held_step[env, robot, step]
+                me.gathered[to] = path[held, 4]
+                me.gathered[to + LANES] = path[held, 0] - path[place + step, 0]
     for lane in range(LANES):
         lanes[SLIP + lane] = (
             me.slip_decay * lanes[SLIP + lane] + me.slip_gain_mps * lanes[NORMALS + lane]
@@ -185,6 +220,44 @@ def _start_slot(
         lanes[SLOT_SQUARE + lane] = 0.0
 
 
+@njit(inline="always")
+def _set_point(
+    me: UnicycleWords, held: int, lag_steps: int
+) -> tuple[float, float, float, float, float]:
+    """Return x, y, heading, and its cosine and sine, of a set-point that is so many steps old.
+
+    `held` is its row in the table; extrapolated, it goes on along an arc at its own speed and turn
+    rate.
+    """
+    pose, direction = me.operator.pose[held], me.operator.direction[held]
+    if me.set_point != EXTRAPOLATE or lag_steps == 0:
+        return pose[0], pose[1], pose[2], direction[0], direction[1]
+    motion = me.operator.path[held]
+    lag_s = lag_steps * me.step_s
+    half = 0.5 * motion[0] * lag_s
+    chord = motion[4] * lag_s
+    if abs(half) > 1e-6:  # below, sin(x) / x is 1 in double precision
+        chord *= math.sin(half) / half
+    x = pose[0] + chord * math.cos(pose[2] + half)
+    y = pose[1] + chord * math.sin(pose[2] + half)
+    heading = pose[2] + 2.0 * half
+    return x, y, heading, math.cos(heading), math.sin(heading)
+
+
+@inner_kernel(forceinline=True)
+def _relate(me: UnicycleWords, now: NDArray[np.float64], place: int, held: int) -> None:
+    """Turn the pose error against the reference at row `place` into that against a set-point."""
+    pose, direction = me.operator.pose[place], me.operator.direction[place]
+    x, y, heading, c, s = _set_point(me, held, place - held)
+    forward = direction[0] * now[0] - direction[1] * now[1] + (pose[0] - x)
+    sideways = direction[1] * now[0] + direction[0] * now[1] + (pose[1] - y)
+    now[0] = c * forward + s * sideways
+    now[1] = c * sideways - s * forward
+    turned = pose[2] - heading
+    turned -= 2.0 * math.pi * np.rint(turned / (2.0 * math.pi))
+    now[2] = wrap_angle(now[2] + turned)
+
+
 @inner_kernel(forceinline=True)
 def _sample(
     me: UnicycleWords,
@@ -192,11 +265,15 @@ def _sample(
     loop: LoopConstants,
     state: Any,
     slot: Any,
-    sample: int,
+    step: int,
     env: int,
     robot: int,
 ) -> None:
-    """Measure one robot and close its loop; the last three normals are the noise."""
+    """Measure one robot and close its loop; the last three normals are the noise.
+
+    What it is measured against, and departs from, is the set-point in force.
+    """
+    sample = step // me.steps_per_sample
     lane = robot % LANES
     now = me.memory.history[env, robot, sample]
     for j in range(NUM_STATES):
@@ -204,6 +281,10 @@ def _sample(
     now[0] += me.noise_position_m * lanes[NORMALS + 2 * LANES + lane]
     now[1] += me.noise_position_m * lanes[NORMALS + 3 * LANES + lane]
     now[2] += me.noise_heading_rad * lanes[NORMALS + 4 * LANES + lane]
+    if me.set_point != PRESENT:
+        start = me.operator.offset[env, robot]
+        held = state.held_step[env, robot, step % me.steps_per_slot]
+        _relate(me, now, start + step, start + held)
     close_loop(me.memory, me.input_limits, loop, state, slot, sample, env, robot)
     for i in range(NUM_INPUTS):
         lanes[CONTROL + i * LANES + lane] = me.memory.control[env, robot, i]
@@ -215,7 +296,8 @@ def _move_lanes(me: UnicycleWords, path: NDArray[np.float64], lanes: NDArray[np.
 
     Midpoint rule in the heading, exact in the actuator lag and in the rotation of the frame. The
     window sums grow by squared position error, absolute heading error and curvature at the end of
-    the step, the slot's sum by the first of them.
+    the step, the slot's sum by the first of them. Speed and turn rate depart from those of the
+    set-point in force, whose own the robot follows at once.
     """
     step_s, lag_mean, lag_decay = me.step_s, me.lag_mean, me.lag_decay
     for lane in range(LANES):
@@ -231,6 +313,7 @@ def _move_lanes(me: UnicycleWords, path: NDArray[np.float64], lanes: NDArray[np.
         dw = lanes[STATE + 4 * LANES + lane] - control_w
         velocity = speed + control_v + dv * lag_mean + lanes[SLIP + lane]
         turn_error = control_w + dw * lag_mean + lanes[SLIP + LANES + lane]
+        turn_error += path[5 * LANES + lane]
         middle = wrap_angle(heading + 0.5 * step_s * turn_error)
         half_sine = sin_half(middle)
         half_cosine = cos_half(middle)
@@ -271,20 +354,74 @@ def _end_window(me: UnicycleWords, lanes: NDArray[np.float64], index: NDArray[np
 
 @inner_kernel(forceinline=True)
 def _record_robot(
-    me: UnicycleWords, lanes: NDArray[np.float64], slot: Any, last: int, env: int, robot: int
+    me: UnicycleWords, lanes: NDArray[np.float64], state: Any, slot: Any, env: int, robot: int
 ) -> None:
     """Note where one robot stands after the slot's last step."""
+    operator, start = me.operator, me.operator.offset[env, robot]
     lane = robot % LANES
     slot.tracking_error_m[robot] = math.sqrt(lanes[SLOT_SQUARE + lane] / me.steps_per_slot)
     for j in range(NUM_STATES):
         slot.state[robot, j] = lanes[STATE + j * LANES + lane]
-    place = me.offset[robot] + last
+    place = start + (state.slot[env] + 1) * me.steps_per_slot
     for j in range(3):
-        slot.reference[robot, j] = me.pose[place, j]
-    slot.reference[robot, 3] = me.path[place - 1, 4]
-    slot.reference[robot, 4] = me.path[place - 1, 0]
+        slot.reference[robot, j] = operator.pose[place, j]
+    slot.reference[robot, 3] = operator.path[place - 1, 4]
+    slot.reference[robot, 4] = operator.path[place - 1, 0]
+    if me.set_point != PRESENT:
+        held = start + state.held_step[env, robot, me.steps_per_slot - 1]
+        slot.state[robot, 3] += operator.path[held, 4] - operator.path[place - 1, 4]
+        slot.state[robot, 4] += operator.path[held, 0] - operator.path[place - 1, 0]
+        x, y, heading, _, _ = _set_point(me, held, place - held)
+        slot.set_point[robot, 0] = x
+        slot.set_point[robot, 1] = y
+        slot.set_point[robot, 2] = heading
     for i in range(NUM_INPUTS):
         slot.control[robot, i] = me.memory.control[env, robot, i]
+
+
+@inner_kernel()
+def _report_task(
+    me: UnicycleWords,
+    lanes: NDArray[np.float64],
+    constants: Any,
+    state: Any,
+    slot: Any,
+    env: int,
+    robot: int,
+) -> None:
+    """Tell the base station of the coming slot what the operator of one robot asks for."""
+    path, pose, steps = me.operator.path, me.operator.pose, me.steps_per_slot
+    now, start, lane = state.slot[env], me.operator.offset[env, robot], robot % LANES
+    if slot.arrivals_packets[robot] > 0:
+        me.newest[env, robot] = now
+    newest = me.newest[env, robot]
+    place = start + newest * steps
+    speed, turn_rate = path[place, 4], path[place, 0]
+    along = (path[place + 1, 4] - speed) / me.step_s
+    across = speed * turn_rate
+    state.set_point_speed_mps[env, robot] = speed
+    state.set_point_acceleration_mps2[env, robot] = math.sqrt(along * along + across * across)
+    # The fastest that waits: it is sought anew only when the one of before has been delivered.
+    oldest = now + 1 - np.int64(np.rint(state.hol_delay_s[env, robot] / constants.slot_s))
+    oldest = min(oldest, newest)
+    peak = me.peak[env, robot]
+    if speed >= path[start + peak * steps, 4] or peak > newest:
+        peak = newest
+    if peak < oldest:
+        peak = oldest
+        for waiting in range(oldest + 1, newest + 1):
+            if path[start + waiting * steps, 4] > path[start + peak * steps, 4]:
+                peak = waiting
+    me.peak[env, robot] = peak
+    state.waiting_speed_mps[env, robot] = path[start + peak * steps, 4]
+    if constants.tracks_age:
+        held = start + state.held_step[env, robot, steps - 1]
+        state.set_point_gap_m[env, robot] = math.hypot(
+            pose[place, 0] - pose[held, 0], pose[place, 1] - pose[held, 1]
+        )
+    reported, ring = me.reported[env, robot], me.reported_slots + 1
+    reported[now % ring] = math.hypot(lanes[STATE + lane], lanes[STATE + LANES + lane])
+    state.reported_error_m[env, robot] = reported[(now + 1) % ring]
 
 
 @DRIVE.kernel(UnicycleWords)
@@ -292,19 +429,22 @@ def drive_unicycles(me: UnicycleWords, constants: Any, state: Any, slot: Any, en
     """Move all robots of a world through the slot."""
     draw_normals(state.key[env], state.slot[env], me.normals, slot.robot_normal)
     first = state.slot[env] * me.steps_per_slot
-    last = first + me.steps_per_slot
     for block in range(me.lanes.shape[1]):
         lanes, begin = me.lanes[env, block], block * LANES
         end = min(begin + LANES, slot.delay_steps.shape[0])
-        _start_slot(me, lanes, slot, first, begin, end)
-        for step in range(first, last):
-            if step % me.steps_per_sample == 0:
-                sample = step // me.steps_per_sample
+        _start_slot(me, lanes, state, slot, env, begin, end)
+        for step in range(first, first + me.steps_per_slot):
+            if me.is_spread:
                 for robot in range(begin, end):
-                    _sample(me, lanes, constants.loop, state, slot, sample, env, robot)
+                    if step % me.steps_per_sample == me.phase[robot]:
+                        _sample(me, lanes, constants.loop, state, slot, step, env, robot)
+            elif step % me.steps_per_sample == 0:
+                for robot in range(begin, end):
+                    _sample(me, lanes, constants.loop, state, slot, step, env, robot)
             place = (step - first) * NUM_PATH * LANES
             _move_lanes(me, me.gathered[place : place + NUM_PATH * LANES], lanes)
             if (step + 1) % me.steps_per_window == 0:
                 _end_window(me, lanes, state.dexterity_index[env, begin:])
         for robot in range(begin, end):
-            _record_robot(me, lanes, slot, last, env, robot)
+            _record_robot(me, lanes, state, slot, env, robot)
+            _report_task(me, lanes, constants, state, slot, env, robot)

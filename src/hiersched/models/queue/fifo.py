@@ -7,8 +7,9 @@ packet in service counts as waiting until its last bit is out. All counts are do
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,12 +19,21 @@ from hiersched.core.parameters import Note
 from hiersched.models.model import QUEUE, Model, Setup
 from hiersched.models.seams import SERVE
 
+BY_BATCH = 2
+"""Code of a superseding of batches in `SlotConstants.superseding`."""
+
 
 class FifoWords(NamedTuple):
     """What the queues of U users remember."""
 
     arrived: NDArray[np.float64]  # (E, T + 1, U) packets that arrived before each slot
     head: NDArray[np.int64]  # (E, U) slot of the oldest waiting packet's arrival, or any earlier
+    # (E, R, M + S) slot of the newest set-point completed by M steps before each step of a slot and
+    # the M steps behind it; M steps are the core latency, rounded up.
+    completed: NDArray[np.int64]
+    late_steps: int  # M
+    steps_per_slot: int  # S
+    phase: float  # by how much of a slot M steps are longer than the core latency
 
 
 @QUEUE.model
@@ -32,19 +42,29 @@ class Fifo(Model):
     """Every user's packets leave in the order in which they came."""
 
     model: Annotated[Literal["fifo"], Note("model", "paper", "fifo (first in, first out)")] = "fifo"
+    tracks_packets: ClassVar[bool] = True
 
     def words(self, setup: Setup) -> FifoWords:
         """As in `Model`."""
-        num_envs, num_users = setup.num_envs, setup.scenario.num_users
+        scenario = setup.scenario
+        num_envs, num_users, steps = setup.num_envs, scenario.num_users, scenario.steps_per_slot
+        latency_s, slot_s = scenario.robot.core_latency_s, scenario.radio.slot_s
+        late_steps = math.ceil(latency_s / scenario.robot.substep_s - 1e-9)
+        tracked = (num_envs, scenario.users.num_urllc if scenario.tracks_age else 0)
         return FifoWords(
             arrived=np.zeros((num_envs, setup.num_slots + 1, num_users)),
             head=np.zeros((num_envs, num_users), np.int64),
+            completed=np.zeros((*tracked, late_steps + steps), np.int64),
+            late_steps=late_steps,
+            steps_per_slot=steps,
+            phase=max(0.0, late_steps / steps - latency_s / slot_s),
         )
 
     def reset(self, words: FifoWords, keys: NDArray[np.uint64]) -> None:
         """As in `Model`: empty queues."""
         words.arrived[...] = 0.0
         words.head[...] = 0
+        words.completed[...] = 0
 
 
 @kernel()
@@ -99,10 +119,90 @@ def serve_user(
     return after, sojourn, hol, due, late, at
 
 
+@kernel()
+def supersede(
+    slot: int, backlog: float, by_batch: bool, arrived: NDArray[np.float64]
+) -> tuple[float, float]:
+    """Drop the waiting packets of one user, since newer ones come in slot t.
+
+    What is in service stays: a packet, or all of its batch. `backlog` F(t) in packets, `arrived`
+    (T + 1,) as in `FifoWords`, from which the dropped ones go. Returns what is left of the backlog
+    and how many packets were dropped.
+    """
+    before = arrived[slot]
+    begun = backlog - np.floor(backlog)
+    kept = before - np.ceil(backlog)
+    left = begun
+    if by_batch:
+        row = slot
+        while row > 0 and arrived[row - 1] > kept:
+            row -= 1
+        # The oldest waiting packet is of the batch of slot row - 1.
+        if begun > 0.0 or (row > 0 and arrived[row - 1] < kept):
+            left = begun + (arrived[row] - kept - np.ceil(begun))
+            kept = arrived[row]
+    elif begun > 0.0:
+        kept += 1.0
+    row = slot
+    while row >= 0 and arrived[row] > kept:
+        arrived[row] = kept
+        row -= 1
+    return left, before - kept
+
+
+@kernel()
+def follow_set_points(
+    me: FifoWords,
+    slot: int,
+    load: float,
+    service: float,
+    by_batch: bool,
+    arrived: NDArray[np.float64],
+    completed: NDArray[np.int64],
+) -> None:
+    """Bring the newest completed set-point of one robot up to date, step by step of slot t.
+
+    `load` F(t) + A(t) and `service` mu(t) in packets; row `completed` (M + S,) is that of
+    `FifoWords`. A packet is a set-point, stamped with its slot's start; with `by_batch` a slot's
+    packets are one, which counts when the last of them is completed.
+    """
+    late, steps = me.late_steps, me.steps_per_slot
+    at = completed[late + steps - 1]
+    for step in range(late):
+        completed[step] = completed[step + steps]
+    total = arrived[slot + 1]
+    for step in range(steps):
+        done = total - np.ceil(max(0.0, load - (step / steps + me.phase) * service))
+        if by_batch:
+            look = at + 1
+            while look <= slot and arrived[look + 1] <= done:
+                if arrived[look + 1] > arrived[look]:
+                    at = look
+                look += 1
+        else:
+            while arrived[at + 1] < done:
+                at += 1
+        completed[late + step] = at
+
+
 @SERVE.kernel(FifoWords)
 def serve(me: FifoWords, constants: Any, state: Any, slot: Any, env: int) -> None:
     """Serve all users of a world."""
     for user in range(slot.rate_mbps.shape[0]):
+        slot.superseded_packets[user] = 0
+    if constants.superseding > 0:
+        for user in range(constants.num_urllc):
+            if slot.arrivals_packets[user] > 0 and state.backlog_packets[env, user] > 0.0:
+                left, dropped = supersede(
+                    state.slot[env],
+                    state.backlog_packets[env, user],
+                    constants.superseding == BY_BATCH,
+                    me.arrived[env, :, user],
+                )
+                state.backlog_packets[env, user] = left
+                slot.superseded_packets[user] = np.uint32(dropped)
+    for user in range(slot.rate_mbps.shape[0]):
+        load = state.backlog_packets[env, user] + np.float64(slot.arrivals_packets[user])
         after, sojourn, hol, due, late, head = serve_user(
             state.slot[env],
             state.backlog_packets[env, user],
@@ -118,3 +218,16 @@ def serve(me: FifoWords, constants: Any, state: Any, slot: Any, env: int) -> Non
         slot.delay_s[user] = sojourn * constants.slot_s
         slot.due_packets[user] = np.uint32(due)
         slot.late_packets[user] = np.uint32(late)
+        if user < me.completed.shape[1]:
+            completed = me.completed[env, user]
+            follow_set_points(
+                me,
+                state.slot[env],
+                load,
+                slot.service_packets[user],
+                constants.superseding == BY_BATCH,
+                me.arrived[env, :, user],
+                completed,
+            )
+            for step in range(me.steps_per_slot):
+                state.held_step[env, user, step] = completed[step] * me.steps_per_slot
