@@ -25,6 +25,7 @@ from matplotlib.ticker import FixedFormatter, FixedLocator, NullFormatter, NullL
 from hiersched.core.files import write_bytes
 from hiersched.policies.find import EXACT
 from hiersched.policies.registry import RULES, Look
+from hiersched.policies.task_rules import TASK_RULES
 from hiersched.scenario import Scenario
 from hiersched.study.statistics import mean_interval
 
@@ -119,6 +120,10 @@ def policy_look(policy: str, scenario: Scenario | None = None) -> Look:
             return Look(f"DRL ({text})", _LEARNED_COLOR, "-", "o")
         return Look(text, *_LEARNER_LOOKS[(place - 1) % len(_LEARNER_LOOKS)])
     if policy in own:
+        rule = getattr(scenario and scenario.policies[policy], "model", None)
+        same = [name for name in own if getattr(scenario.policies[name], "model", None) == rule]
+        if rule in TASK_RULES and policy == same[0]:
+            return RULES[rule].look._replace(label=policy.replace("_", " "))
         return Look(policy.replace("_", " "), *_OWN_LOOKS[own.index(policy) % len(_OWN_LOOKS)])
     return _EXACT if policy == EXACT else RULES[policy].look  # type: ignore[attr-defined]
 
