@@ -201,10 +201,8 @@ def rules() -> str:
         given = inspect.signature(rule).parameters
         texts = (f"`{key}` {code(flow(given[key].default))}: {allowed(own[key])}" for key in own)
         knob = code(rule.knob or "")
-        knows = "the task" if rule.knows_task else ""
-        rows.append((code(name), first_sentence(rule.__doc__), knows, knob, "; ".join(texts)))
-    head = ("rule", "what it does", "knows", "knob", "keys and their defaults")
-    return table(head, rows)
+        rows.append((code(name), first_sentence(rule.__doc__), knob, "; ".join(texts)))
+    return table(("rule", "what it does", "knob", "keys and their defaults"), rows)
 
 
 @block

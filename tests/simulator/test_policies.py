@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 from dataclasses import dataclass, replace
@@ -16,9 +17,12 @@ from hiersched.policies.find import ExactPolicy
 from hiersched.policies.index_rules import CLASSICAL, LogRule, MaxWeight
 from hiersched.policies.policy import LoggedWeights, Owners, View, Weigher, Weights
 from hiersched.policies.registry import RULES, Rule
-from hiersched.policies.seams import ALLOCATE, WEIGH
+from hiersched.policies.seams import ALLOCATE, INDEX, WEIGH
+from hiersched.policies.task_rules import TASK_RULES
+from hiersched.simulator.setup import TASK_STATE
 
 BUT_WEIGHTS = {"weight"}
+BY_THE_POLICY = {"weight", "index_weight", "need_mbps", "drift_weight", "multiplier"}
 
 
 class Decider:
@@ -183,6 +187,12 @@ def test_a_policy_sees_the_slot_that_comes(make_simulator):
     multipliers = np.random.default_rng(2).uniform(0, 3, (2, 4))
     policy = Decider(lambda view: Weights(np.ones((2, 8))))
     simulator = make_simulator(traffic={"load": 1.2})
+    task = np.random.default_rng(3).random((len(TASK_STATE), 2, 4))
+    for name, values in zip(TASK_STATE, task, strict=True):
+        getattr(simulator.state, name)[:] = values
+    shown = {name: np.copy(getattr(simulator.view, name)) for name in TASK_STATE}
+    for name, values in zip(TASK_STATE, task, strict=True):
+        np.testing.assert_array_equal(shown[name], values, err_msg=name)
     record = simulator.run(policy, multipliers=multipliers)
     radio = simulator.scenario.radio
     snr = 10 ** ((radio.tx_power_dbm - radio.noise_dbm) / 10)
@@ -354,7 +364,7 @@ def test_to_decide_leaves_the_state_as_it_is(make_simulator, assert_same_bits, r
         before = {name: values.copy() for name, values in simulator.state._asdict().items()}
         owners = simulator.decide(compiled, multipliers)
         for name, values in before.items():
-            if name not in ("weight", "index_weight", "need_mbps", "multiplier"):
+            if name not in BY_THE_POLICY:
                 np.testing.assert_array_equal(getattr(simulator.state, name), values, err_msg=name)
         np.testing.assert_array_equal(simulator.decide(compiled, multipliers), owners)
         record = simulator.run(policy, 7, multipliers=multipliers)
@@ -373,6 +383,96 @@ def test_to_decide_takes_weights(make_simulator):
     np.testing.assert_array_equal(weighted.prb_owner[:, 0], owners)
     with pytest.raises(ValueError, match="weights: must be positive"):
         simulator.decide(simulator.rule("pf"), weights=-weights)
+
+
+# The knob, and rules by the task.
+
+
+@pytest.mark.parametrize("name", CLASSICAL)
+def test_a_factor_of_1_is_the_rule(make_simulator, name):
+    """The one without its kernel decides as that with the nearest factor; a knob favours URLLC."""
+    simulator = make_simulator(traffic={"load": 1.1})
+    rule = simulator.rule(name)
+    expected = simulator.run(rule)
+    knob = RULES[name].knob
+    if knob is None:
+        assert name == "round_robin"
+        return
+    assert getattr(rule, knob) == 1.0
+
+    def run(value):
+        return make_simulator(traffic={"load": 1.1}).run(replace(rule, **{knob: value}))
+
+    if name in ("pf", "max_rate", "drift_plus_penalty"):
+        assert rule.words(simulator.setup) is None
+        nearest = run(math.nextafter(1.0, 2.0))
+        np.testing.assert_array_equal(nearest.prb_owner, expected.prb_owner)
+    less, more = (run(value).rate_mbps[..., :4].sum() for value in (0.05, 20.0))
+    assert less > more if name == "edf" else less < more
+
+
+def test_urgency_at_rest_with_a_floor_of_1_is_drift_plus_penalty(make_simulator, assert_same_bits):
+    expected = make_simulator(traffic={"load": 1.1}).run("drift_plus_penalty")
+    for weighs in ("drift", "both"):
+        for rule in (
+            RULES["urgency"](floor=1.0, weighs=weighs),
+            RULES["age"](weighs=weighs),
+            RULES["age"](index="whittle", weighs=weighs),
+        ):
+            record = make_simulator(traffic={"load": 1.1}).run(rule)
+            assert_same_bits(record, expected)
+    other = make_simulator(traffic={"load": 1.1}).run(RULES["urgency"](floor=4.0))
+    assert (other.prb_owner != expected.prb_owner).any()
+
+
+@pytest.mark.parametrize("name", TASK_RULES)
+def test_a_rule_by_the_task_runs_under_the_name_of_a_policy(make_simulator, name):
+    knob, rule = RULES[name].knob, RULES[name]()
+    simulator = make_simulator(policies={"mine": rule}, traffic={"load": 1.1})
+    assert simulator.rule("mine") == rule
+    with pytest.raises(ValueError, match=f"policy = '{name}': must be one of pf"):
+        simulator.rule(name)
+    for field in TASK_STATE:
+        getattr(simulator.state, field)[:] = 0.5
+    before = simulator.run("mine").rate_mbps
+    assert (knob is None) == (name == "try_once_discard")
+    if knob is not None:
+        other = make_simulator(traffic={"load": 1.1})
+        for field in TASK_STATE:
+            getattr(other.state, field)[:] = 0.5
+        value = getattr(rule, knob) * (0.3 if knob == "tolerance_m" else 20.0)
+        record = other.run(replace(rule, **{knob: value}))
+        assert record.rate_mbps[..., :4].sum() > before[..., :4].sum()
+
+
+class WrongWords(NamedTuple):
+    weight: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wrong(Rule):
+    """Drift plus penalty with a weight of the drift that is none."""
+
+    model: Literal["wrong"] = "wrong"
+    weight: float = 1.0
+    allocation = "lagrangian"
+
+    def words(self, setup):
+        return WrongWords(self.weight)
+
+
+@INDEX.kernel(WrongWords)
+def index_wrong(me, constants, state, slot, env):
+    for user in range(state.index_weight.shape[1]):
+        state.index_weight[env, user] = 1.0
+    state.drift_weight[env, 2] = me.weight
+
+
+@pytest.mark.parametrize("weight", [-1.0, np.nan, np.inf])
+def test_a_weight_of_the_drift_that_is_none_is_refused(make_simulator, weight):
+    make_simulator().run(Wrong(weight=0.0), 3)
+    with pytest.raises(ValueError, match="a weight that is negative or not finite"):
+        make_simulator().run(Wrong(weight=weight), 3)
 
 
 # The exact optimum.
@@ -428,7 +528,7 @@ def test_rules_are_known_to_who_imports_the_simulator_alone():
         "import hiersched.simulator\nfrom hiersched.policies.registry import RULES\nprint(*RULES)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert set(done.stdout.split()) == set(CLASSICAL)
+    assert set(done.stdout.split()) == {*CLASSICAL, *TASK_RULES}
 
 
 def test_equal_rules_are_prepared_once_and_others_apart(make_simulator):

@@ -91,7 +91,7 @@ def index_task(me: TaskWords, constants: Any, state: Any, slot: Any, env: int) -
 class Urgency(Drift):
     """Weight k (floor + v^2), v in m/s: a late set-point is off by about v times its age.
 
-    Zheng, Zhou and Niu, urgency of information, IEEE Trans. Wireless Communications 19(12), 2020.
+    Urgency of information: Zheng, Zhou and Niu, IEEE Trans. Wireless Communications 19, 2020.
     A floor of 0.1 starves robots at rest above capacity.
     """
 
@@ -139,7 +139,7 @@ class GeneralisedCMu(Drift):
 class ErrorWeight(Drift):
     """Weight k (floor + e^2 / (2 cm)^2), e the tracking error as last reported.
 
-    Mamduhi and Hirche, error-dependent scheduling of networked control systems.
+    Error-dependent scheduling: Mamduhi, Molin, Tolic and Hirche, Automatica 81, 2017.
     """
 
     model: Literal["error_weight"] = "error_weight"
