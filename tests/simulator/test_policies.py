@@ -10,6 +10,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pytest
+import yaml
 
 from hiersched.allocation.exact import owned_rates
 from hiersched.allocation.objective import slot_terms, user_lagrangian
@@ -19,7 +20,8 @@ from hiersched.policies.policy import LoggedWeights, Owners, View, Weigher, Weig
 from hiersched.policies.registry import RULES, Rule
 from hiersched.policies.seams import ALLOCATE, INDEX, WEIGH
 from hiersched.policies.task_rules import TASK_RULES
-from hiersched.simulator.setup import TASK_STATE
+from hiersched.scenario import load_scenario
+from hiersched.simulator.setup import TASK_STATE, SlotState
 
 BUT_WEIGHTS = {"weight"}
 BY_THE_POLICY = {"weight", "index_weight", "need_mbps", "drift_weight", "multiplier"}
@@ -411,38 +413,58 @@ def test_a_factor_of_1_is_the_rule(make_simulator, name):
     assert less > more if name == "edf" else less < more
 
 
+def set_task(simulator, value):
+    for name in TASK_STATE:
+        getattr(simulator.state, name)[:] = value
+
+
 def test_urgency_at_rest_with_a_floor_of_1_is_drift_plus_penalty(make_simulator, assert_same_bits):
-    expected = make_simulator(traffic={"load": 1.1}).run("drift_plus_penalty")
-    for weighs in ("drift", "both"):
-        for rule in (
-            RULES["urgency"](floor=1.0, weighs=weighs),
-            RULES["age"](weighs=weighs),
-            RULES["age"](index="whittle", weighs=weighs),
-        ):
-            record = make_simulator(traffic={"load": 1.1}).run(rule)
-            assert_same_bits(record, expected)
-    other = make_simulator(traffic={"load": 1.1}).run(RULES["urgency"](floor=4.0))
-    assert (other.prb_owner != expected.prb_owner).any()
+    """Of Whittle's index and the age too, where nothing is older than a slot: h = 1 = 1 · 2 / 2."""
+
+    def run(rule):
+        simulator = make_simulator(traffic={"load": 1.1})
+        for _ in range(60):
+            set_task(simulator, 0.0)
+            simulator.run(rule, 1)
+        set_task(simulator, 0.0)
+        return simulator.state
+
+    names = set(SlotState._fields) - BY_THE_POLICY
+    expected = run("drift_plus_penalty")
+    for rule in (
+        RULES["urgency"](floor=1.0),
+        RULES["urgency"](floor=1.0, weighs="both"),
+        RULES["age"](),
+        RULES["age"](index="whittle", weighs="both"),
+    ):
+        assert_same_bits(run(rule), expected, names)
+    other = run(RULES["urgency"](floor=4.0))
+    assert (other.backlog_packets != expected.backlog_packets).any()
 
 
 @pytest.mark.parametrize("name", TASK_RULES)
-def test_a_rule_by_the_task_runs_under_the_name_of_a_policy(make_simulator, name):
-    knob, rule = RULES[name].knob, RULES[name]()
-    simulator = make_simulator(policies={"mine": rule}, traffic={"load": 1.1})
-    assert simulator.rule("mine") == rule
+def test_a_rule_by_the_task_runs_under_the_name_of_a_policy(make_simulator, tmp_path, name):
+    """And its knob favours URLLC users, here where all have a queue and eMBB users wait."""
+    knob = RULES[name].knob
+    little, much = (0.9, 0.001) if knob == "tolerance_m" else (0.001, 1000.0)
+    keys = {policy: {} if knob is None else {knob: value}
+            for policy, value in (("little", little), ("much", much))}  # fmt: skip
+    policies = {policy: {"model": name, **own} for policy, own in keys.items()}
+    path = tmp_path / "mine.yaml"
+    path.write_text(yaml.safe_dump({"name": "mine", "policies": policies}))
+    rules = load_scenario(path).policies
+    assert all(rules[policy] == RULES[name](**own) for policy, own in keys.items())
+    simulator = make_simulator()
     with pytest.raises(ValueError, match=f"policy = '{name}': must be one of pf"):
         simulator.rule(name)
-    for field in TASK_STATE:
-        getattr(simulator.state, field)[:] = 0.5
-    before = simulator.run("mine").rate_mbps
-    assert (knob is None) == (name == "try_once_discard")
-    if knob is not None:
-        other = make_simulator(traffic={"load": 1.1})
-        for field in TASK_STATE:
-            getattr(other.state, field)[:] = 0.5
-        value = getattr(rule, knob) * (0.3 if knob == "tolerance_m" else 20.0)
-        record = other.run(replace(rule, **{knob: value}))
-        assert record.rate_mbps[..., :4].sum() > before[..., :4].sum()
+    simulator.state.backlog_packets[:] = 40.0
+    simulator.state.hol_delay_s[:, 4:] = 0.2
+    set_task(simulator, 0.5)
+    prbs = {policy: np.count_nonzero(simulator.decide(rules[policy]) < 4) for policy in rules}
+    if knob is None:
+        assert name == "try_once_discard"
+    else:
+        assert prbs["much"] > prbs["little"]
 
 
 class WrongWords(NamedTuple):
