@@ -400,6 +400,8 @@ WHERE = {
     "the dexterity index (DI)": ("hiersched.models.plant.dexterity:dexterity_index",),
     "the gain in force at a delay": ("hiersched.models.plant.feedback:entry_in_force",),
     "the weights of M-LWDF, and of any rule": ("hiersched.policies.index_rules:index_m_lwdf",),
+    "the weights by the robots' task": ("hiersched.policies.task_rules:index_task",),
+    "the knob of a rule": ("hiersched.policies.factor:Factored",),
     "what caps a rule's rates: its need": (
         "hiersched.policies.needs:expected_packets",
         "hiersched.policies.needs:need_mbps",
