@@ -17,6 +17,7 @@ from hiersched.core.pointer import Pointer
 from hiersched.core.randomness import normal_scratch
 from hiersched.models.plant.error_model import discretise, unicycle_error_model
 from hiersched.models.plant.feedback import LoopConstants, LoopMemory, entry_in_force
+from hiersched.models.plant.operator import OperatorWords
 from hiersched.models.plant.reference import driven_table, reference_table
 from hiersched.models.plant.unicycle import (
     CONTROL,
@@ -61,7 +62,16 @@ def constants(reference="straight", *, step_s=0.0025, speed_mps=1.0, noise=0.0, 
         lag_decay=decay, lag_mean=(1 - decay) * LAG_S / step_s, slip_decay=0.9, slip_gain_mps=0.0,
         slip_gain_radps=0.0, noise_position_m=noise, noise_heading_rad=2 * noise,
         input_limits=np.array(limit),
-        path=table.rows(), pose=table.pose, offset=offset, lanes=np.zeros((1, 1, 18 * LANES)),
+        set_point=0, is_spread=False, phase=np.zeros(1, np.int64), reported_slots=1,
+        reported=np.zeros((1, 1, 2)), newest=np.zeros((1, 1), np.int64),
+        peak=np.zeros((1, 1), np.int64),
+        operator=OperatorWords(
+            path=table.rows(), pose=table.pose, direction=np.zeros((0, 2)), offset=offset[None],
+            first=offset[None], drawn=np.zeros(1, bool), scale=np.ones(1), pace=np.ones(1),
+            shuffles=False, reach=np.ones((3, 2)), reach_turn_rad=0.0, step_s=step_s,
+            num_steps=4000,
+        ),
+        lanes=np.zeros((1, 1, 18 * LANES)),
         memory=LoopMemory(
             history=np.zeros((1, 1, 201, 5)), commands=np.zeros((1, 1, max_delay + 1, 2)),
             control=np.zeros((1, 1, 2)), held=np.zeros((1, 1, 2), np.int64),
@@ -74,7 +84,8 @@ def constants(reference="straight", *, step_s=0.0025, speed_mps=1.0, noise=0.0, 
         local_gain=zeros if local is None else local,
         network_gain=zeros if network is None else network, has_memory=inputs is not None,
         input_gain=np.zeros((max_delay + 1, max_delay, 2, 2)) if inputs is None else inputs,
-        hold_samples=0, adjusted_delay_steps=np.zeros(max_delay + 1, np.uint32),
+        hold_samples=0, is_local=False, by_age=False,
+        adjusted_delay_steps=np.zeros(max_delay + 1, np.uint32),
     )  # fmt: skip
     return words, loop
 
@@ -89,6 +100,7 @@ class State(NamedTuple):
     """What closing a loop notes."""
 
     gain_delay_steps: np.ndarray
+    held_step: np.ndarray
 
 
 class Slot(NamedTuple):
@@ -101,7 +113,7 @@ class Slot(NamedTuple):
 @kernel()
 def close_loop(me, loop, state, slot, sample):
     """Measure the first robot and close its loop."""
-    _sample(me, me.lanes[0, 0], loop, state, slot, sample, 0, 0)
+    _sample(me, me.lanes[0, 0], loop, state, slot, sample * me.steps_per_sample, 0, 0)
 
 
 def put(lanes, field, values, lane):
@@ -122,7 +134,7 @@ def move_in_lane(robot, state, control, slip, steps, place, lane):
     for field, values in ((STATE, state), (CONTROL, control), (SLIP, slip)):
         put(lanes, field, values, lane)
     path = np.zeros((steps, NUM_PATH, LANES))
-    path[:, :, lane] = robot.path[place : place + steps, :NUM_PATH]
+    path[:, :5, lane] = robot.operator.path[place : place + steps]
     for step in path.reshape(steps, NUM_PATH * LANES):
         move_lanes(Pointer(robot), step, lanes)
     return lanes
@@ -150,7 +162,7 @@ def test_without_slip_a_robot_stays_on_its_reference(reference):
     """Open loop for 10 s: the midpoint rule drifts by v T (ω Δt)² / 24, 0.04 mm on the zig-zag."""
     robot, _ = constants(reference)
     end = move(robot, np.zeros(5), (0.0, 0.0), steps=4000)
-    drift_m = 10.0 * (np.abs(robot.path[:, 0]).max() * robot.step_s) ** 2 / 24
+    drift_m = 10.0 * (np.abs(robot.operator.path[:, 0]).max() * robot.step_s) ** 2 / 24
     assert np.hypot(*end[:2]) <= drift_m + 1e-12
     np.testing.assert_array_equal(end[2:], 0.0)
 
@@ -160,7 +172,7 @@ def test_motion_is_that_of_the_unicycle_in_the_world(reference):
     """Integrate x' = v cos θ, y' = v sin θ, θ' = ω in the world, then change the frame."""
     start, control, slip = np.array([0.1, -0.2, 0.6, 0.3, -0.5]), (0.4, 1.1), (0.05, -0.2)
     robot, steps = constants(reference, speed_mps=0.9)[0], 200
-    pose = robot.pose
+    pose = robot.operator.pose
 
     def rate(z, reference_speed, turn):
         theta, v, w = z[2:]
@@ -175,7 +187,9 @@ def test_motion_is_that_of_the_unicycle_in_the_world(reference):
     z = np.array(
         [*(pose[0, :2] + frame(pose[0, 2]).T @ start[:2]), pose[0, 2] + start[2], *start[3:]]
     )
-    for at in robot.path[:steps, [4, 0]]:  # Runge and Kutta's fourth order: exact beside the other
+    for at in robot.operator.path[
+        :steps, [4, 0]
+    ]:  # Runge and Kutta's fourth order: exact beside the other
         h = robot.step_s
         k1 = rate(z, *at)
         k2 = rate(z + 0.5 * h * k1, *at)
@@ -215,7 +229,7 @@ def random_gains(seed, max_delay=3, size=1.0):
 
 def close(robot, loop, sample, delay):
     """Close the loop of the robot with the gains of its delay: commands, and 1 at a limit."""
-    state = State(np.zeros((1, 1), np.uint32))
+    state = State(np.zeros((1, 1), np.uint32), np.zeros((1, 1, 4), np.int64))
     slot = Slot(np.array([delay], np.uint32), np.zeros(1, np.uint32))
     close_loop(Pointer(robot), Pointer(loop), Pointer(state), Pointer(slot), sample)
     return take(robot.lanes[0, 0], CONTROL, 2, 0), slot.control_saturated[0]

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from hiersched.policies.index_rules import CLASSICAL
 from hiersched.policies.registry import RULES
 from hiersched.policies.task_rules import TASK_RULES, whittle_index
+from hiersched.scenario import load_scenario
 
 # Two URLLC users and one eMBB user.
 LEVEL = np.ones((3, 3))
@@ -228,3 +231,24 @@ def test_looks_are_of_one_rule_each():
     # Those that know the task have long dashes, and nobody else.
     for name, look in zip(names, looks, strict=True):
         assert (look.dashes[1][0] == 10) == RULES[name].knows_task
+
+
+@pytest.mark.parametrize(
+    ("model", "values", "said"),
+    [
+        ("gap_weight", {}, "robot.set_point = 'hold'"),
+        ("age", {}, "control.delay = 'age'"),
+        ("try_once_discard", {}, "the age of set-points"),
+        ("urgency", {"plant": "linear"}, "plant.model = 'linear' has none"),
+        ("lag", {"plant": "linear"}, ""),
+        ("urgency", {}, ""),
+    ],
+)
+def test_a_rule_refuses_a_scenario_without_what_it_reads(smoke_scenario, model, values, said):
+    scenario = smoke_scenario
+    if values:
+        scenario = load_scenario("linear_plant")
+    faults = RULES[model]().faults(scenario)
+    assert [said in fault for fault in faults] == ([True] if said else [])
+    late = replace(scenario, robot=replace(scenario.robot, set_point="hold"))
+    assert values or not RULES[model]().faults(late)

@@ -39,7 +39,7 @@ from hiersched.scenario import ScenarioError, find_scenario, load_scenario
         # Not one of the choices.
         (
             "control: {loop: wireless}",
-            ["control.loop = 'wireless'", "'network' or 'split'"],
+            ["control.loop = 'wireless'", "'network', 'split' or 'local'"],
         ),
         ("robot: {reference: circle}", ["robot.reference = 'circle'", "'figure_eight'"]),
         (

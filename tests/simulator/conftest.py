@@ -56,7 +56,7 @@ def of_robots():
 
     def read(simulator, start, count):
         words = simulator.words["plant"]
-        robots = [divmod(robot, LANES) for robot in range(len(words.offset))]
+        robots = [divmod(robot, LANES) for robot in range(words.operator.offset.shape[1])]
         return np.stack(
             [
                 words.lanes[:, block, start + lane : start + count * LANES : LANES]

@@ -33,17 +33,35 @@ class Rule(Model):
     its place in the scenario. `look` is how figures show the rule under its own name.
 
     `knob` is the key by which a study sets the rule's favour for URLLC against eMBB users, None
-    where there is none; `knows_task` whether the rule reads the robots' task.
+    where there is none; `knows_task` whether the rule reads the robots' task, `reads_age` which
+    set-points are in force.
     """
 
     look: ClassVar[Look]
     knob: ClassVar[str | None] = None
     knows_task: ClassVar[bool] = False
+    reads_age: ClassVar[bool] = False
 
     @property
     def allocation(self) -> str:
         """What the weights are of: one of `ALLOCATIONS`, or ``own``."""
         return "linear"
+
+    def faults(self, scenario: Scenario) -> list[str]:
+        """As in `Model`: the plant must have what the rule reads."""
+        name: Any = self.model
+        faults = []
+        if self.knows_task and not scenario.plant.has_pose:
+            faults.append(
+                f"model = {name!r}: reads the set-points of the robots, and plant.model = "
+                f"{scenario.plant.model!r} has none"
+            )
+        if self.reads_age and not scenario.tracks_age:
+            faults.append(
+                f"model = {name!r}: reads the age of set-points, which nobody follows: needs "
+                "robot.set_point = 'hold' or 'extrapolate', or control.delay = 'age'"
+            )
+        return faults
 
     @classmethod
     def standard(cls: type[R], scenario: Scenario) -> R:

@@ -166,6 +166,7 @@ class GapWeight(Drift):
 
     model: Literal["gap_weight"] = "gap_weight"
     look: ClassVar[Look] = Look("gap", "#6F4C9B", (0, (10, 1.5, 3, 1.5)), "8")
+    reads_age = True
     knows_task = True
     urllc_factor: Factor = 1.0
     floor: Floor = 0.1
@@ -256,6 +257,7 @@ class Age(Drift):
 
     model: Literal["age"] = "age"
     look: ClassVar[Look] = Look("age of information", "#8F8F5F", (0, (2, 1, 1, 1)), "^")
+    reads_age = True
     urllc_factor: Factor = 1.0
     index: Annotated[
         Literal["age", "whittle"], Note("", "assumed", "the age itself, or Whittle's index of it")
@@ -348,6 +350,7 @@ class TryOnceDiscard(Rule):
 
     model: Literal["try_once_discard"] = "try_once_discard"
     look: ClassVar[Look] = Look("try once, discard", "#543005", (0, (10, 1.5, 5, 1.5, 1, 1.5)), "X")
+    reads_age = True
     knows_task = True
     allocation = "by_urgency"
 

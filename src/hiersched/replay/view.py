@@ -34,8 +34,10 @@ PLOTS = (
     Plot("Queue [packets]", "/queue", "backlog_packets"),
     Plot("Wait of the oldest packet [s]", "/delay", "hol_delay_s"),
     Plot("Late packets in the slot", "/delay", "late_packets"),
+    Plot("Packets superseded in the slot", "/queue", "superseded_packets"),
     Plot("Network delay [samples]", "/robots", "delay_steps"),
     Plot("Gain in force [samples]", "/robots", "gain_delay_steps"),
+    Plot("Age of the set-point in force [s]", "/robots", "set_point_age_s"),
     Plot("Tracking error [m]", "/robots", "tracking_error_m"),
 )
 
@@ -65,7 +67,7 @@ def rerun_blueprint(dims: LogDims) -> Any:
     )
     image = rrb.Spatial2DView(name="PRBs by owner: last 100 slots", origin=IMAGE_TOPIC)
     events = rrb.TextLogView(name="Events", origin="/events")
-    rows = rrb.Grid(*plots, grid_columns=3), rrb.Horizontal(scene, image, events)
+    rows = rrb.Grid(*plots, grid_columns=4), rrb.Horizontal(scene, image, events)
     return rrb.Blueprint(
         rrb.Vertical(*rows, row_shares=[2, 1]),
         rrb.TimePanel(timeline="message_log_time", state="collapsed"),
@@ -127,12 +129,16 @@ def show_in_rerun(path: str | os.PathLike[str], save: str | os.PathLike[str] | N
 
 
 def _mark_robots(recording: Any, dims: LogDims) -> None:
-    """Give every pose a mark to be drawn with: robots in their user's colour, references grey."""
+    """Give every pose a mark to be drawn with.
+
+    Robots have their user's colour, references are grey, set-points in force black.
+    """
     import rerun as rr
 
     colours = user_colours(dims.num_urllc, dims.num_embb)
-    for robot, (pose, reference) in enumerate(pose_topics(dims.num_posed)):
-        for topic, colour, radius in ((pose, colours[robot], 0.2), (reference, 160, 0.1)):
+    for robot, topics in enumerate(pose_topics(dims.num_posed)):
+        marks = (colours[robot], 0.2), (160, 0.1), (0, 0.05)
+        for topic, (colour, radius) in zip(topics, marks, strict=True):
             recording.log(
                 topic,
                 rr.Points3D([[0.0, 0.0, 0.0]], colors=[[*np.broadcast_to(colour, 3)]], radii=radius,
@@ -156,7 +162,9 @@ def foxglove_layout(dims: LogDims) -> dict[str, Any]:
     configs["3D!0"] = {"topics": {topic: {"visible": True} for topic in topics}}
     configs["Image!0"] = {"imageMode": {"imageTopic": IMAGE_TOPIC}}
     configs["RosOut!0"] = {"topicToRender": "/events"}
-    rows = _stack([_stack([f"Plot!{i}" for i in row], "row") for row in ((0, 1, 2), (3, 4, 5))])
+    rows = _stack(
+        [_stack([f"Plot!{i}" for i in row], "row") for row in ((0, 1, 2, 3), (4, 5, 6, 7))]
+    )
     below = _stack(["3D!0", "Image!0", "RosOut!0"], "row")
     return {
         "configById": configs,

@@ -8,7 +8,7 @@ import os
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
@@ -36,9 +36,20 @@ _MESSAGES = {  # numbers as in the public schemas of Foxglove
 }
 
 
-def pose_topics(num_robots: int) -> list[tuple[str, str]]:
-    """Topics of each robot's pose and of its reference's."""
-    return [(f"/robots/{i}/pose", f"/robots/{i}/reference") for i in range(num_robots)]
+class PoseTopics(NamedTuple):
+    """Topics of one robot's poses."""
+
+    pose: str
+    reference: str  # the newest set-point
+    set_point: str  # the one in force; only in logs of robots whose set-points are late
+
+
+def pose_topics(num_robots: int) -> list[PoseTopics]:
+    """Topics of each robot's poses."""
+    return [
+        PoseTopics(*(f"/robots/{i}/{name}" for name in PoseTopics._fields))
+        for i in range(num_robots)
+    ]
 
 
 def robot_poses(state: NDArray[np.float64], reference: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -128,11 +139,13 @@ def _pose_messages(log: LogReader) -> Iterator[tuple[str, Any, int]]:
             f"(hiersched replay {log.path} --out FULL.mcap writes the whole run)"
         )
         raise LogError(log.path, 0, what)
-    robots = log.read("/robots", ["state", "reference"])
-    poses = robot_poses(robots["state"], robots["reference"]), robots["reference"][..., :3]
+    known = [name for name in ("set_point",) if name in log.known_fields("/robots")]
+    robots = log.read("/robots", ["state", "reference", *known])
+    poses = [robot_poses(robots["state"], robots["reference"]), robots["reference"][..., :3]]
+    poses += [robots[name] for name in known if robots[name].any()]
     for index, slot in enumerate(robots["slot"].tolist()):
         for robot, topics in enumerate(pose_topics(log.dims.num_posed)):
-            for topic, pose in zip(topics, poses, strict=True):
+            for topic, pose in zip(topics, poses, strict=False):
                 yield topic, _pose(*pose[index, robot].tolist()), slot
 
 
