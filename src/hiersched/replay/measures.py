@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from hiersched.log import LogReader
 
@@ -37,10 +38,15 @@ _ROBOT_MEASURES = (
     ("tracking_error_m", "tracking error", "cm", 100.0),
     ("dexterity_index", "dexterity index", "", 1.0),
 )
+_LATE = ("tracking_error_m", "network_delay_s", "reference", "set_point_age_s")
+"""What says how far off a robot of the present model would be if its set-points were late."""
+LOOP_TIME_S = 0.1
+"""About how fast a robot follows a set-point: its loop smooths a lag that changes faster."""
 _WANTED = {
     *_USER_FIELDS.values(),
     *(name.format(part) for name in _SLICE_FIELDS.values() for part in ("urllc", "embb")),
     *(field for field, *_ in _ROBOT_MEASURES),
+    *_LATE,
 }
 
 
@@ -71,6 +77,22 @@ def batch_means(log: LogReader, count: int, batches: int) -> list[tuple[str, str
     return found
 
 
+def late_set_point_error_m(
+    error_m: FloatArray, speed_mps: FloatArray, delay_s: FloatArray, slot_s: float
+) -> FloatArray:
+    """Tracking errors of robots that know their reference, had their set-points been late.
+
+    sqrt(e^2 + (v D)^2) of each slot and robot, shape (T, R), with the delay D behind a first-order
+    filter of `LOOP_TIME_S`: at a constant delay that is what a robot that holds its set-points
+    loses, and its loop smooths what changes faster.
+    """
+    gain = 1.0 - np.exp(-slot_s / LOOP_TIME_S)
+    first = (1.0 - gain) * delay_s[:1]  # as if the first delay had been in force before
+    lag_s, _ = lfilter([gain], [1.0, gain - 1.0], delay_s, axis=0, zi=first)
+    error: FloatArray = np.hypot(error_m, speed_mps * lag_s)
+    return error
+
+
 def _series(log: LogReader) -> Iterator[tuple[str, str, float, NDArray[Any], NDArray[Any] | None]]:
     """Yield name, unit, scale, values (T, ...) and, of shares, what they are shares of."""
     fields: dict[str, NDArray[Any]] = {}
@@ -91,3 +113,7 @@ def _series(log: LogReader) -> Iterator[tuple[str, str, float, NDArray[Any], NDA
     for field, name, unit, scale in _ROBOT_MEASURES:
         if n and field in fields:
             yield name, unit, scale, fields[field], None
+    if n and all(name in fields for name in _LATE) and not fields["set_point_age_s"].any():
+        error, delay, reference = (fields[name] for name in _LATE[:3])
+        values = late_set_point_error_m(error, reference[..., 3], delay, log.slot_ns * 1e-9)
+        yield "tracking error, set-points late", "cm", 100.0, values, None
