@@ -20,7 +20,9 @@ DIMS = LogDims(num_urllc=3, num_embb=2, num_prb=7)
 SLOT_NS = 10_000_000
 
 
-def write_log(path: Path, *, slots: int = 30, seed: int = 5, abort: bool = False) -> Path:
+def write_log(
+    path: Path, *, slots: int = 30, seed: int = 5, abort: bool = False, policy: str = "pf"
+) -> Path:
     """Random numbers in every field."""
     rng = np.random.default_rng(seed)
     fields: dict[str, Any] = {}
@@ -30,7 +32,7 @@ def write_log(path: Path, *, slots: int = 30, seed: int = 5, abort: bool = False
             scale = rng.integers(0, 9, shape) if field.dtype == "<u4" else rng.normal(size=shape)
             fields[field.name] = scale.astype(field.dtype)
     log = LogWriter(
-        path, DIMS, metadata={"policy": "pf", "scenario": "test", "seed": "4"}, slot_ns=SLOT_NS
+        path, DIMS, metadata={"policy": policy, "scenario": "test", "seed": "4"}, slot_ns=SLOT_NS
     )
     log.write_block(0, fields)
     log.event(7, "WARNING", "queue", 'user 1, says "late"')
@@ -100,6 +102,13 @@ def test_info_says_what_there_is(tmp_path: Path, run: Any) -> None:
     with LogReader(tmp_path / "a.mcap") as log:
         rate = log.read("/allocation")["rate_mbps"][:, :3].mean()
     assert float(re.search(r"URLLC rate +(\S+) Mbit/s", out)[1]) == pytest.approx(rate, rel=1e-5)
+
+
+def test_metadata_do_not_look_like_other_lines(tmp_path: Path, run: Any) -> None:
+    policy = "pf\nrecovered   lost: nothing\x1b[2J"
+    status, out, _ = run("info", write_log(tmp_path / "a.mcap", policy=policy))
+    assert status == 0
+    assert r"policy pf\nrecovered   lost: nothing\x1b[2J, seed 4" in out
 
 
 def test_info_refuses_a_damaged_log(tmp_path: Path, run: Any) -> None:

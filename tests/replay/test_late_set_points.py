@@ -35,25 +35,31 @@ def test_a_lag_is_smoothed_by_the_loop():
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(
-    ("policy", "load"),
+    ("policy", "load", "coefficient_mbps"),
     [
-        ("edf", 0.9),
-        ("drift_plus_penalty", 0.9),
-        ("max_weight", 0.9),
-        ("drift_plus_penalty", 1.0),
-        ("max_weight", 1.0),
+        ("edf", 0.9, 0.2),
+        ("drift_plus_penalty", 0.9, 0.2),
+        ("max_weight", 0.9, 0.2),
+        ("edf", 1.0, 0.0),
+        ("drift_plus_penalty", 1.0, 0.2),
+        ("max_weight", 1.0, 0.2),
     ],
 )
-def test_the_score_is_that_of_robots_that_hold(policy, load):
+def test_the_score_is_that_of_robots_that_hold(policy, load, coefficient_mbps):
     """Within 5 % of the simulated robots, pooled over six worlds of 17 s.
 
-    Not for EDF at load 1.0, whose queues answer to how well the robots track: there the two runs
-    are of other queues.
+    Where queues answer to how well the robots track, the two runs are of other queues: under EDF at
+    load 1.0 that alone makes 13 %, so its robots do not act on their queues there.
     """
     keys = world_keys("late", 1, 6)
     records = {}
     for name, values in (("hold", {}), ("present", PRESENT)):
-        scenario = with_values(load_scenario("teleop_fading"), {"traffic.load": load, **values}, "")
+        values = {
+            "traffic.load": load,
+            "traffic.service_coefficient_mbps": coefficient_mbps,
+            **values,
+        }
+        scenario = with_values(load_scenario("teleop_fading"), values, "")
         simulator = Simulator(scenario, scenario_gains(scenario), keys, 2000)
         records[name] = simulator.run(policy)
     present = records["present"]

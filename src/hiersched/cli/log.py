@@ -95,7 +95,7 @@ def _info(parsed: argparse.Namespace) -> int:
         size = log.path.stat().st_size
         print(f"{parsed.log}: complete, every checksum is right ({size:,} bytes)")
         for line in [*_origin(log), *_contents(log), *_statistics(log)]:
-            print(line)
+            print(line.replace("\n", "\\n"))  # of metadata: it must not look like a line of ours
     return 0
 
 

@@ -30,14 +30,19 @@ def printable(text: str) -> str:
 
 
 class PrintableStream:
-    """A stream that escapes control characters on their way to another one."""
+    """A stream that escapes, on their way to another one, what a terminal would act on.
+
+    Also what the other stream's encoding does not have.
+    """
 
     def __init__(self, stream: IO[str]) -> None:
         self._stream = stream
 
     def write(self, text: str) -> int:
         """Write text; returns how many characters it has."""
-        self._stream.write(printable(text))
+        encoding = self._stream.encoding or "utf-8"
+        shown = printable(text).encode(encoding, "backslashreplace").decode(encoding)
+        self._stream.write(shown)
         return len(text)
 
     def flush(self) -> None:

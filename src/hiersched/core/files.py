@@ -18,13 +18,16 @@ def refuse_existing(*paths: str | os.PathLike[str], overwrite: bool = False) -> 
 
 
 def write_bytes(path: Path, data: bytes) -> Path:
-    """Write a file under another name first and rename it then; return its path.
+    """Write a file under another name first, and rename it when it is on the disk; return its path.
 
     Its folder is created.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(path.name + ".part")
-    part.write_bytes(data)
+    with open(part, "wb") as stream:
+        stream.write(data)
+        stream.flush()
+        os.fsync(stream.fileno())
     os.replace(part, path)
     return path
 
