@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +13,8 @@ from hiersched.core.memory import physical_memory_bytes
 from hiersched.core.randomness import world_key
 from hiersched.experiments.points import experiments, groups
 from hiersched.models.model import num_model_values
+from hiersched.models.plant.operator import TABLE_WIDTH
+from hiersched.models.plant.reference import tasks_of
 from hiersched.policies.features import num_features
 from hiersched.scenario import Scenario, ScenarioError, find_scenario, load_scenario
 from hiersched.scenario.schema import Learning
@@ -73,7 +76,10 @@ def design_faults(scenario: Scenario) -> list[str]:
 
 
 def slot_bytes(scenario: Scenario) -> int:
-    """Return what a slot of one world takes in memory [bytes]."""
+    """Return what a slot of one world takes in memory [bytes].
+
+    Its record, what its robots have measured, and references that the world draws for itself.
+    """
     layout = SlotLayout(
         scenario.num_users,
         scenario.users.num_urllc,
@@ -81,7 +87,11 @@ def slot_bytes(scenario: Scenario) -> int:
         scenario.robot_sizes,
         num_model_values(scenario),
     )
-    return 8 * layout.words
+    num_robots, (n, _, _) = scenario.users.num_urllc, scenario.robot_sizes
+    measured = math.ceil(scenario.radio.slot_s / scenario.control.sampling_s) * n * num_robots
+    tasks = tasks_of(scenario.robot, num_robots) if scenario.plant.has_pose else ()
+    drawn = sum(task.reference == "reach" for task in tasks)
+    return 8 * (layout.words + measured + drawn * scenario.steps_per_slot * TABLE_WIDTH)
 
 
 def memory_faults(scenario: Scenario) -> list[str]:

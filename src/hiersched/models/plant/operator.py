@@ -23,6 +23,10 @@ _DURATION, _LENGTH, _TURN, _PAUSE, _FIRST_PAUSE, _SHUFFLE = range(6)
 """Lanes of `STREAM_REFERENCE`."""
 
 
+TABLE_WIDTH = 10
+"""Numbers of a step in the tables of `OperatorWords`."""
+
+
 class OperatorWords(NamedTuple):
     """References of R operators, a robot each, in E worlds; tables have a row a step."""
 
