@@ -114,6 +114,7 @@ def some_policy(scenario: Scenario, learner: str) -> TrainedPolicy:
         hidden=learning.hidden,
         rule=learning.start,
         observe_robots=learning.observe_robots,
+        observe_demand=learning.observe_demand,
         num_embb=users.num_embb,
         weight_exponent=learning.weight_exponent,
         multipliers=np.zeros(users.num_urllc),

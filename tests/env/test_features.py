@@ -67,13 +67,40 @@ def test_features_of_a_robot_by_hand(scenario, gains):
     simulator.state.hol_delay_s[1, 2] = 0.021
     simulator.state.gain_delay_steps[1, 2] = 4
     features = simulator.features(np.zeros((2, 3)), observe_robots=True)
-    assert features.shape == (2, 5, 8 + 3) == (2, 5, num_features(True))
+    assert features.shape == (2, 5, 8 + 3) == (2, 5, num_features(True, False))
     largest = scenario.max_delay_steps
     assert features[1, 2, 8:].tolist() == pytest.approx([math.log(6.0), 2 / largest, 4 / largest])
     assert features[0, 2, 8:].tolist() == pytest.approx([0.0, 1 / largest, 0.0])
     assert (features[:, 3:, 8:] == 0.0).all()
     simulator.state.hol_delay_s[1, 2] = 1e3
     assert simulator.features(np.zeros((2, 3)), observe_robots=True)[1, 2, 9] == 1.0
+
+
+def test_features_of_a_demand_by_hand(scenario, gains):
+    """A set-point at half a metre a second, one deadline old, 1 cm from the newest."""
+    traffic = replace(scenario.traffic, urllc_offered_mbps=(2.0, 4.0, 6.0))
+    simulator = Simulator(replace(scenario, traffic=traffic), gains, world_keys("t", 1, 2), 4)
+    state = simulator.state
+    state.set_point_speed_mps[1, 0] = 0.5
+    state.set_point_gap_m[1, 0] = 0.01
+    state.set_point_acceleration_mps2[1, 0] = 2.0
+    state.set_point_age_s[1, 0] = scenario.traffic.deadline_s
+    state.reported_error_m[1, 0] = 0.04
+    features = simulator.features(np.zeros((2, 3)), observe_demand=True)
+    assert features.shape == (2, 5, 8 + 6) == (2, 5, num_features(False, True))
+    wanted = [6.0, 2.0, 3.0, 2.0, 5.0, 2.0]
+    assert features[1, 0, 8:].tolist() == pytest.approx(np.log(wanted).tolist())
+    assert features[1, 2, 8:].tolist() == pytest.approx([0.0] * 5 + [math.log(2.0 / 3.0)])
+    assert (features[:, 3:, 8:] == 0.0).all()
+    cost = 0.05 * np.exp(features[1, 0, 8]) * np.exp(features[1, 0, 13]) ** 2
+    assert cost == pytest.approx((0.05 + 0.5**2) * 2.0**2)
+    loop = SlotLoop(
+        replace(scenario, learning=replace(scenario.learning, observe_demand=True)),
+        gains,
+        world_keys("t", 1, 2),
+        4,
+    )
+    assert loop.features().shape == (2, 5, 14)
 
 
 def test_the_task_costs_each_robot_its_error_in_centimetres(scenario, gains):

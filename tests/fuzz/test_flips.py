@@ -26,6 +26,7 @@ def write_policy(path: Path) -> None:
         hidden=(64, 64),
         rule="pf",
         observe_robots=False,
+        observe_demand=False,
         num_embb=4,
         weight_exponent=3.0,
         multipliers=np.array([0.1, 2.0, 0.0]),

@@ -21,10 +21,12 @@ from hiersched.policies.trained import TrainedPolicy
 EXPONENT = 2.0
 
 
-def random_parameters(network, hidden, *, observe_robots=False, num_urllc=10, num_embb=10):
+def random_parameters(
+    network, hidden, *, observe_robots=False, observe_demand=False, num_urllc=10, num_embb=10
+):
     """Networks whose actions are spread over (-1, 1)."""
     rng = np.random.default_rng(7)
-    count = num_features(observe_robots)
+    count = num_features(observe_robots, observe_demand)
     inputs, outputs = (
         (3 * count, 1)
         if network == "shared"
@@ -36,8 +38,14 @@ def random_parameters(network, hidden, *, observe_robots=False, num_urllc=10, nu
     return np.concatenate(parts, axis=1).astype(np.float32)
 
 
-def make_words(network, hidden, *, observe_robots=False, num_urllc=10, num_embb=10):
-    sizes = {"num_urllc": num_urllc, "num_embb": num_embb, "observe_robots": observe_robots}
+def make_words(network, hidden, **sizes):
+    sizes = {
+        "num_urllc": 10,
+        "num_embb": 10,
+        "observe_robots": False,
+        "observe_demand": False,
+        **sizes,
+    }
     return network_words(
         random_parameters(network, hidden, **sizes),
         network,
@@ -47,7 +55,9 @@ def make_words(network, hidden, *, observe_robots=False, num_urllc=10, num_embb=
     )
 
 
-@pytest.mark.parametrize("observe_robots", [False, True])
+@pytest.mark.parametrize(
+    ("observe_robots", "observe_demand"), [(False, False), (True, False), (True, True)]
+)
 @pytest.mark.parametrize("network", ["shared", "mlp"])
 @pytest.mark.parametrize(
     ("hidden", "num_urllc", "num_embb"),
@@ -61,24 +71,35 @@ def make_words(network, hidden, *, observe_robots=False, num_urllc=10, num_embb=
     ],
 )
 def test_actions_are_those_of_torch(
-    make_worlds, weigh, torch_weights, network, hidden, num_urllc, num_embb, observe_robots
+    make_worlds,
+    weigh,
+    torch_weights,
+    network,
+    hidden,
+    num_urllc,
+    num_embb,
+    observe_robots,
+    observe_demand,
 ):
-    sizes = {"num_urllc": num_urllc, "num_embb": num_embb, "observe_robots": observe_robots}
+    observed = {"observe_robots": observe_robots, "observe_demand": observe_demand}
+    sizes = {"num_urllc": num_urllc, "num_embb": num_embb, **observed}
     constants, state = make_worlds(num_urllc, num_embb, num_envs=50)
     policy = TrainedPolicy(
         parameters=random_parameters(network, hidden, **sizes),
         network=network,
         hidden=hidden,
         rule="pf",
-        observe_robots=observe_robots,
+        **observed,
         weight_exponent=EXPONENT,
         num_embb=num_embb,
         multipliers=np.zeros(num_urllc),
         seed=1,
         scenario_sha256="",
     )
-    features = np.empty((50, num_urllc + num_embb, num_features(observe_robots)), np.float32)
-    observe_worlds(Pointer(constants), Pointer(state), observe_robots, features)
+    features = np.empty(
+        (50, num_urllc + num_embb, num_features(observe_robots, observe_demand)), np.float32
+    )
+    observe_worlds(Pointer(constants), Pointer(state), observe_robots, observe_demand, features)
     wanted = np.log(torch_weights(policy, features)) / EXPONENT
     got = np.log(weigh(make_words(network, hidden, **sizes), constants, state)) / EXPONENT
     assert np.abs(got - wanted).max() < 1e-6
@@ -92,6 +113,7 @@ def test_a_network_of_zeros_weighs_all_users_alike(make_worlds, weigh):
             network,
             (4,),
             observe_robots=False,
+            observe_demand=False,
             weight_exponent=EXPONENT,
             num_urllc=10,
             num_embb=10,
@@ -152,6 +174,7 @@ for network, hidden in {cases!r}:
         network,
         hidden,
         observe_robots=True,
+        observe_demand=True,
         weight_exponent={exponent!r},
         num_urllc=7,
         num_embb=10,
@@ -168,7 +191,7 @@ TARGET_CASES = (("shared", (64, 37)), ("mlp", (37, 64)))
 )
 def test_every_processor_target_gives_the_same_bits(make_worlds, weigh, tmp_path):
     """Vectors of 4 without FMA instructions, of 8 with them, and what this processor has."""
-    sizes = {"observe_robots": True, "num_urllc": 7, "num_embb": 10}
+    sizes = {"observe_robots": True, "observe_demand": True, "num_urllc": 7, "num_embb": 10}
     digests = {"host": []}
     for network, hidden in TARGET_CASES:
         np.save(tmp_path / f"{network}.npy", random_parameters(network, hidden, **sizes))
@@ -206,6 +229,7 @@ def test_parameters_of_another_shape_are_refused():
             "shared",
             (8,),
             observe_robots=False,
+            observe_demand=False,
             weight_exponent=EXPONENT,
             num_urllc=10,
             num_embb=10,
@@ -219,6 +243,7 @@ def test_an_unknown_network_is_refused():
             "transformer",
             (8,),
             observe_robots=False,
+            observe_demand=False,
             weight_exponent=EXPONENT,
             num_urllc=1,
             num_embb=1,

@@ -22,6 +22,7 @@ def some_policy(scenario, network="shared", start="pf"):
         hidden=(6,),
         rule=start,
         observe_robots=False,
+        observe_demand=False,
         num_embb=2,
         weight_exponent=scenario.learning.weight_exponent,
         multipliers=np.array([0.1, 2.0, 0.0]),
@@ -91,6 +92,22 @@ def test_a_saved_policy_comes_back_bit_for_bit(scenario, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["policy.json"]
 
 
+def test_a_policy_of_format_3_says_less_and_is_the_same(scenario, tmp_path):
+    path = tmp_path / "policy.json"
+    policy = some_policy(scenario)
+    policy.save(path)
+    document = unseal_json(path.read_bytes())
+    assert document.pop("format") == "hiersched policy 4"
+    assert document.pop("observe_demand") is False
+    path.write_text(seal_json({"format": "hiersched policy 3", **document}))
+    loaded = TrainedPolicy.load(path)
+    for name, value in vars(policy).items():
+        np.testing.assert_array_equal(value, getattr(loaded, name), err_msg=name)
+    path.write_text(seal_json({"format": "hiersched policy 4", **document}))
+    with pytest.raises(PolicyError, match="observe_demand"):
+        TrainedPolicy.load(path)
+
+
 def test_files_that_are_no_policy_are_refused(scenario, tmp_path):
     path = tmp_path / "policy.json"
     path.write_bytes(b"nothing")
@@ -103,7 +120,8 @@ def test_files_that_are_no_policy_are_refused(scenario, tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"format": "hiersched policy 2"}, "its format is another than 'hiersched policy 3'"),
+        ({"format": "hiersched policy 2"}, "its format is another than 'hiersched policy 4' or"),
+        ({"observe_demand": None}, "observe_demand: Input should be a valid boolean"),
         ({"feature_version": 99}, "feature_version = 99: must be 1 "),
         ({"hidden": [6, 6]}, "314 parameters: must be 2 x 199 "),
         ({"hidden": [0]}, "hidden.0: Input should be greater than or equal to 1"),

@@ -125,8 +125,11 @@ class SlotLoop:
 
     def features(self) -> NDArray[np.float32]:
         """Features at the start of the coming slot, shape (E, U, F)."""
+        learning = self._learning
         return self.simulator.features(
-            self.multipliers, observe_robots=self._learning.observe_robots
+            self.multipliers,
+            observe_robots=learning.observe_robots,
+            observe_demand=learning.observe_demand,
         )
 
     def step(self, actions: NDArray[np.floating]) -> NDArray[np.float32]:

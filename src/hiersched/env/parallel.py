@@ -40,7 +40,8 @@ class SlicingParallelEnv(ParallelEnv):
         self._num_urllc = scenario.users.num_urllc
         self._cooperative = scenario.learning.reward == "cooperative"
         counts = {"urllc": scenario.users.num_urllc, "embb": scenario.users.num_embb}
-        width = 3 * num_features(scenario.learning.observe_robots)
+        learning = scenario.learning
+        width = 3 * num_features(learning.observe_robots, learning.observe_demand)
         self._observation_spaces = {
             agent: spaces.Box(-np.inf, np.inf, (count, width), np.float32)
             for agent, count in counts.items()

@@ -18,7 +18,8 @@ from hiersched.simulator import Gains, SlotRecord
 
 def user_spaces(scenario: Scenario) -> tuple[spaces.Box, spaces.Box]:
     """Spaces of one world: features of every user, one number in [-1, 1] for each."""
-    width = num_features(scenario.learning.observe_robots)
+    learning = scenario.learning
+    width = num_features(learning.observe_robots, learning.observe_demand)
     return (
         spaces.Box(-np.inf, np.inf, (scenario.num_users, width), np.float32),
         spaces.Box(-1.0, 1.0, (scenario.num_users,), np.float32),

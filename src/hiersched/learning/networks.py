@@ -177,7 +177,7 @@ def learner_network(learning: Learning, users: Users) -> Network:
     """Make the network of a learner's section `learning` for so many users."""
     return NETWORKS[learning.network](
         Slices(users.num_urllc, users.num_embb),
-        num_features(learning.observe_robots),
+        num_features(learning.observe_robots, learning.observe_demand),
         learning.hidden,
     )
 

@@ -142,6 +142,7 @@ class Trainer:
                 network=learning.network,
                 rule=learning.start,
                 observe_robots=learning.observe_robots,
+                observe_demand=learning.observe_demand,
                 hidden=learning.hidden,
                 weight_exponent=learning.weight_exponent,
                 num_embb=self.scenario.users.num_embb,

@@ -40,6 +40,7 @@ class SharedWords(NamedTuple):
     """
 
     observe_robots: bool
+    observe_demand: bool
     weight_exponent: float  # c of w = exp(c a)
     first_user: NDArray[np.int64]  # (3,) 0, users of slice 0, users of both
     sizes: NDArray[np.int64]  # (L,) H_1 ... H_L
@@ -59,6 +60,7 @@ class FlatWords(NamedTuple):
     """
 
     observe_robots: bool
+    observe_demand: bool
     weight_exponent: float  # c of w = exp(c a)
     first_user: NDArray[np.int64]  # (3,) 0, users of slice 0, users of both
     sizes: NDArray[np.int64]  # (L,) H_1 ... H_L
@@ -76,6 +78,7 @@ def network_words(
     hidden: tuple[int, ...],
     *,
     observe_robots: bool,
+    observe_demand: bool,
     weight_exponent: float,
     num_urllc: int,
     num_embb: int,
@@ -84,16 +87,17 @@ def network_words(
 
     `parameters` of both actors, shape (2, P), float32, are layer after layer biases, then weights
     (inputs, outputs). `network` is ``shared`` or ``mlp``, `hidden` the outputs of the hidden
-    layers, one at least. `observe_robots` says whether the features of the robots are observed;
-    `weight_exponent` is c of w = exp(c a). An ``mlp`` runs on the numbers of users that it was
-    trained on.
+    layers, one at least. `observe_robots` and `observe_demand` say whether the features of the
+    robots and of what their tasks ask for are observed; `weight_exponent` is c of w = exp(c a). An
+    ``mlp`` runs on the numbers of users that it was trained on.
     """
-    num_users, count = num_urllc + num_embb, num_features(observe_robots)
+    num_users, count = num_urllc + num_embb, num_features(observe_robots, observe_demand)
     sizes = layer_sizes(network, hidden, count, num_urllc, num_embb)
     outputs = sizes[-1]
     biases, weights = _layers(parameters, sizes)
     fields: dict[str, Any] = {
         "observe_robots": observe_robots,
+        "observe_demand": observe_demand,
         "weight_exponent": float(weight_exponent),
         "first_user": np.array([0, num_urllc, num_users]),
         "sizes": np.array(hidden),
@@ -184,7 +188,7 @@ def _aligned(shape: tuple[int, ...]) -> NDArray[np.float32]:
 @WEIGH.kernel(SharedWords)
 def weigh_shared(me: Any, constants: Any, state: Any, slot: Any, env: int) -> None:
     """Weigh every user by its slice's network."""
-    observe_world(constants, state, env, me.observe_robots, me.features)
+    observe_world(constants, state, env, me.observe_robots, me.observe_demand, me.features)
     for agent in range(_NUM_AGENTS):
         users = me.features[me.first_user[agent] : me.first_user[agent + 1]]
         _mean_user(users, me.mean[agent])
@@ -195,7 +199,7 @@ def weigh_shared(me: Any, constants: Any, state: Any, slot: Any, env: int) -> No
 @WEIGH.kernel(FlatWords)
 def weigh_flat(me: Any, constants: Any, state: Any, slot: Any, env: int) -> None:
     """Weigh the users of each slice by its network, which sees all users."""
-    observe_world(constants, state, env, me.observe_robots, me.features)
+    observe_world(constants, state, env, me.observe_robots, me.observe_demand, me.features)
     num_users, num_features = me.features.shape
     first, last = me.hidden[0, : me.sizes[0]], me.hidden[-1, : me.sizes[-1]]
     for agent in range(_NUM_AGENTS):

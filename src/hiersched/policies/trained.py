@@ -27,7 +27,10 @@ from hiersched.policies.learned import (
 )
 from hiersched.policies.policy import Weigher
 
-FORMAT = "hiersched policy 3"
+FORMAT = "hiersched policy 4"
+_FORMAT_3 = "hiersched policy 3"
+_SINCE_FORMAT_4 = {"observe_demand": False}
+"""What format 3 does not say, and what its policies do."""
 _FLOAT32 = np.dtype("<f4")
 _Users = Annotated[int, Field(ge=1, le=10_000)]
 
@@ -47,6 +50,7 @@ class _Content:
     ]
     rule: Literal["pf", "max_weight", "drift_plus_penalty"]
     observe_robots: bool
+    observe_demand: bool
     weight_exponent: Annotated[float, Field(gt=0, le=20)]
     num_embb: _Users
     multipliers: Annotated[tuple[NonNegative, ...], NonEmpty]
@@ -64,6 +68,7 @@ class TrainedPolicy(Weigher):
     hidden: tuple[int, ...]  # its hidden layers
     rule: str  # the scheduler whose utilities the weights multiply
     observe_robots: bool  # whether the features of the robots are observed
+    observe_demand: bool  # whether those of their tasks' demand are
     weight_exponent: float  # c of w = exp(c a)
     num_embb: int  # eMBB users in training; an ``mlp`` runs on no other number
     # (R,) of each URLLC user when training ended: what the policy observes from now on.
@@ -85,6 +90,7 @@ class TrainedPolicy(Weigher):
             self.network,
             self.hidden,
             observe_robots=self.observe_robots,
+            observe_demand=self.observe_demand,
             weight_exponent=self.weight_exponent,
             num_urllc=users.num_urllc,
             num_embb=users.num_embb,
@@ -113,8 +119,11 @@ class TrainedPolicy(Weigher):
         """
         try:
             document = unseal_json(data)
-            if document.pop("format", None) != FORMAT:
-                raise SealError(f"its format is another than {FORMAT!r}")
+            found = document.pop("format", None)
+            if found not in (_FORMAT_3, FORMAT):
+                raise SealError(f"its format is another than {FORMAT!r} or {_FORMAT_3!r}")
+            if found == _FORMAT_3:
+                document = _SINCE_FORMAT_4 | document
             content = read_strictly(_Content, document)
             if content.feature_version != FEATURE_VERSION:
                 raise SealError(
@@ -159,7 +168,7 @@ def _actors(parameters: NDArray[np.float32], content: _Content) -> NDArray[np.fl
     sizes = layer_sizes(
         content.network,
         content.hidden,
-        num_features(content.observe_robots),
+        num_features(content.observe_robots, content.observe_demand),
         len(content.multipliers),
         content.num_embb,
     )

@@ -309,6 +309,11 @@ def _learning(scenario: Scenario, section: str, learning: Learning) -> list[str]
                 f"{scenario.plant.model}, whose robots have no position",
             ),
             (
+                learning.observe_demand and not scenario.plant.has_pose,
+                f"{section}.observe_demand = true: must be false where plant.model = "
+                f"{scenario.plant.model}, whose robots have no position",
+            ),
+            (
                 learning.start == "drift_plus_penalty" and learning.algorithm == "ddpg",
                 f"{section}.start = drift_plus_penalty: must be pf or max_weight with "
                 f"{section}.algorithm = ddpg, whose actors need the gradient of the allocation",

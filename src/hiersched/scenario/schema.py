@@ -160,6 +160,7 @@ class Learning(_Strict):
     reward: Literal["cooperative", "independent"]
     task_weight: NonNegative
     observe_robots: bool
+    observe_demand: bool
     frozen: bool
     seeds: Annotated[tuple[Seed, ...], NonEmpty]
     episodes: Count

@@ -322,18 +322,24 @@ class Simulator:
         self._call(rate_channels, self._models, self._constants, self._state, self._slot)
 
     def features(
-        self, multipliers: NDArray[np.float64], *, observe_robots: bool = False
+        self,
+        multipliers: NDArray[np.float64],
+        *,
+        observe_robots: bool = False,
+        observe_demand: bool = False,
     ) -> NDArray[np.float32]:
         """Features of every user at the start of the coming slot (`policies.features`), (E, U, F).
 
         `multipliers` (E, R) of the users' delay constraints are put into the state. With
-        `observe_robots`, `ROBOT_FEATURES` follow; of slice means there are none.
+        `observe_robots`, `ROBOT_FEATURES` follow, with `observe_demand` `DEMAND_FEATURES`; of slice
+        means there are none.
         """
         self.state.multiplier[:] = multipliers
-        shape = (*self.state.weight.shape, num_features(observe_robots))
+        shape = (*self.state.weight.shape, num_features(observe_robots, observe_demand))
         features = np.empty(shape, np.float32)
         where = self._constants, self._state
-        self._call(observe_worlds, *where, bool(observe_robots), features)
+        observed = bool(observe_robots), bool(observe_demand)
+        self._call(observe_worlds, *where, *observed, features)
         return features
 
     def decide(
