@@ -113,6 +113,7 @@ def some_policy(scenario: Scenario, learner: str) -> TrainedPolicy:
         network=learning.network,
         hidden=learning.hidden,
         rule=learning.start,
+        weighs=learning.weighs,
         observe_robots=learning.observe_robots,
         observe_demand=learning.observe_demand,
         num_embb=users.num_embb,

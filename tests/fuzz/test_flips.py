@@ -25,6 +25,7 @@ def write_policy(path: Path) -> None:
         network="shared",
         hidden=(64, 64),
         rule="pf",
+        weighs="utility",
         observe_robots=False,
         observe_demand=False,
         num_embb=4,

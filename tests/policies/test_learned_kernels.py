@@ -89,6 +89,7 @@ def test_actions_are_those_of_torch(
         network=network,
         hidden=hidden,
         rule="pf",
+        weighs="utility",
         **observed,
         weight_exponent=EXPONENT,
         num_embb=num_embb,

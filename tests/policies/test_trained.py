@@ -8,12 +8,13 @@ import pytest
 
 from hiersched.core.randomness import world_keys
 from hiersched.core.sealed import seal_json, unseal_json
+from hiersched.env import SlotLoop
 from hiersched.learning.trainer import Trainer
 from hiersched.policies.trained import PolicyError, TrainedPolicy
 from hiersched.simulator import Simulator
 
 
-def some_policy(scenario, network="shared", start="pf"):
+def some_policy(scenario, network="shared", start="pf", weighs="utility"):
     rng = np.random.default_rng(1)
     size = {"shared": (24 + 1) * 6 + 7, "mlp": (5 * 8 + 1) * 6 + 7 * 3}[network]
     return TrainedPolicy(
@@ -21,6 +22,7 @@ def some_policy(scenario, network="shared", start="pf"):
         network=network,
         hidden=(6,),
         rule=start,
+        weighs=weighs,
         observe_robots=False,
         observe_demand=False,
         num_embb=2,
@@ -65,6 +67,25 @@ def test_a_policy_decides_and_its_multipliers_are_observed(
     np.testing.assert_array_equal(again.prb_owner[:, 0], record.prb_owner[:, 0])
 
 
+def test_a_policy_on_the_drift_is_that_of_its_logged_weights(scenario, gains):
+    """Compiled, in training and from a log: the weight is the policy's in the record of all."""
+    policy = some_policy(scenario, start="drift_plus_penalty", weighs="drift")
+    keys = world_keys("t", 1, 2)
+    record = Simulator(scenario, gains, keys, 8).run(policy)
+    learning = replace(scenario.learning, start="drift_plus_penalty", weighs="drift")
+    loop = SlotLoop(replace(scenario, learning=learning), gains, keys, 8)
+    loop.multipliers[:] = policy.multipliers
+    utility = some_policy(scenario, start="drift_plus_penalty")
+    other = Simulator(scenario, gains, keys, 8).run(utility)
+    for slot in range(8):
+        logged = record.weight[:, slot].astype(np.float64)
+        loop.step(np.log(logged) / learning.weight_exponent)
+        np.testing.assert_array_equal(loop.record.prb_owner[:, 0], record.prb_owner[:, slot])
+        np.testing.assert_allclose(loop.record.weight[:, 0], logged, rtol=1e-6)
+    np.testing.assert_array_equal(other.weight[:, 0], record.weight[:, 0])
+    assert not np.array_equal(other.prb_owner, record.prb_owner)
+
+
 def test_an_mlp_runs_on_the_users_of_its_training_only(scenario, gains):
     policy = some_policy(scenario, "mlp")
     for users in ((4, 2), (3, 3)):
@@ -99,6 +120,7 @@ def test_a_policy_of_format_3_says_less_and_is_the_same(scenario, tmp_path):
     document = unseal_json(path.read_bytes())
     assert document.pop("format") == "hiersched policy 4"
     assert document.pop("observe_demand") is False
+    assert document.pop("weighs") == "utility"
     path.write_text(seal_json({"format": "hiersched policy 3", **document}))
     loaded = TrainedPolicy.load(path)
     for name, value in vars(policy).items():
@@ -128,6 +150,8 @@ def test_files_that_are_no_policy_are_refused(scenario, tmp_path):
         ({"hidden": [10**9] * 9}, "hidden.0: Input should be less than or equal to 10000"),
         ({"network": "transformer"}, "network: Input should be 'shared' or 'mlp'"),
         ({"multipliers": [-1.0]}, "multipliers.0: Input should be greater than or equal to 0"),
+        ({"weighs": "speed"}, "weighs: Input should be 'utility' or 'drift'"),
+        ({"weighs": "drift"}, "weighs = 'drift': must be 'utility' with rule = 'pf'"),
         ({"parameters": "*"}, "base64"),
         (
             {"parameters": b64encode(b"\x00\x00\xc0\x7f" * 314).decode()},

@@ -75,7 +75,8 @@ class EpisodeWorlds:
 class SlotLoop:
     """Episodes of a fixed length in E worlds; an action is a number in [-1, 1] for every user.
 
-    Its weight multiplies the user's utility under the scheduler `learning.start`.
+    Its weight multiplies the user's utility under the scheduler `learning.start`, or its drift
+    (`learning.weighs`).
 
     Parameters
     ----------
@@ -157,6 +158,7 @@ class SlotLoop:
             self._learning.start,
             1,
             weights=action_weights(actions, self._learning.weight_exponent),
+            weighs=self._learning.weighs,
             multipliers=self.multipliers,
             record=self.record,
         )

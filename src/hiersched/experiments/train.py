@@ -97,6 +97,7 @@ class RoundLogs:
                 "episodes": str(self.num_envs * self.num_rounds),
                 "episodes_per_round": str(self.num_envs),
                 "start": learning.start,
+                "weighs": learning.weighs,
                 **metadata,
             },
             attachments=attachments,

@@ -141,6 +141,7 @@ class Trainer:
                 parameters=actors[index].copy(),
                 network=learning.network,
                 rule=learning.start,
+                weighs=learning.weighs,
                 observe_robots=learning.observe_robots,
                 observe_demand=learning.observe_demand,
                 hidden=learning.hidden,

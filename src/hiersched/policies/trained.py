@@ -29,7 +29,7 @@ from hiersched.policies.policy import Weigher
 
 FORMAT = "hiersched policy 4"
 _FORMAT_3 = "hiersched policy 3"
-_SINCE_FORMAT_4 = {"observe_demand": False}
+_SINCE_FORMAT_4 = {"observe_demand": False, "weighs": "utility"}
 """What format 3 does not say, and what its policies do."""
 _FLOAT32 = np.dtype("<f4")
 _Users = Annotated[int, Field(ge=1, le=10_000)]
@@ -49,6 +49,7 @@ class _Content:
         tuple[Annotated[int, Field(ge=1, le=10_000)], ...], Field(min_length=1, max_length=20)
     ]
     rule: Literal["pf", "max_weight", "drift_plus_penalty"]
+    weighs: Literal["utility", "drift"]
     observe_robots: bool
     observe_demand: bool
     weight_exponent: Annotated[float, Field(gt=0, le=20)]
@@ -66,7 +67,8 @@ class TrainedPolicy(Weigher):
     parameters: NDArray[np.float32]  # (2, P) of the URLLC and the eMBB actor
     network: str  # ``shared`` or ``mlp``
     hidden: tuple[int, ...]  # its hidden layers
-    rule: str  # the scheduler whose utilities the weights multiply
+    rule: str  # the scheduler whose utilities, or drift, the weights multiply
+    weighs: str  # ``utility`` or ``drift``: which of them
     observe_robots: bool  # whether the features of the robots are observed
     observe_demand: bool  # whether those of their tasks' demand are
     weight_exponent: float  # c of w = exp(c a)
@@ -134,6 +136,8 @@ class TrainedPolicy(Weigher):
                 base64.b64decode(content.parameters, validate=True), _FLOAT32
             )
             actors = _actors(parameters, content)
+            if content.weighs == "drift" and content.rule != "drift_plus_penalty":
+                raise SealError(f"weighs = 'drift': must be 'utility' with rule = {content.rule!r}")
         except ValidationError as error:
             first = error.errors()[0]
             place = ".".join(map(str, first["loc"]))

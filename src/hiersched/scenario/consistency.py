@@ -319,6 +319,11 @@ def _learning(scenario: Scenario, section: str, learning: Learning) -> list[str]
                 f"{section}.algorithm = ddpg, whose actors need the gradient of the allocation",
             ),
             (
+                learning.weighs == "drift" and learning.start != "drift_plus_penalty",
+                f"{section}.weighs = drift: must be utility with {section}.start = "
+                f"{learning.start}, which has no drift",
+            ),
+            (
                 learning.batch_size > learning.replay_capacity,
                 f"{section}.batch_size = {learning.batch_size}: at most "
                 f"{section}.replay_capacity = {learning.replay_capacity}",

@@ -157,6 +157,7 @@ class Learning(_Strict):
     algorithm: LearnerName
     network: Literal["shared", "mlp"]
     start: Literal["pf", "max_weight", "drift_plus_penalty"]
+    weighs: Literal["utility", "drift"]
     reward: Literal["cooperative", "independent"]
     task_weight: NonNegative
     observe_robots: bool
