@@ -169,7 +169,8 @@ def test_user_rewards_have_the_records_reward_as_their_mean(tiny, gains):
     rng = np.random.default_rng(1)
     for _ in range(SLOTS):
         loop.step(rng.uniform(-1, 1, (2 * ENVS, 5)))
-        shares = user_rewards(loop.record, loop.simulator.state.backlog_packets, tiny)
+        after = loop.simulator.state.backlog_packets
+        shares = user_rewards(loop.record, after, loop.task_costs, tiny)
         np.testing.assert_allclose(shares[:, :3].mean(1), loop.record.reward_urllc[:, 0], rtol=1e-9)
         np.testing.assert_allclose(shares[:, 3:].mean(1), loop.record.reward_embb[:, 0], rtol=1e-9)
 
@@ -179,7 +180,8 @@ def test_a_robots_tracking_error_is_priced_in_its_users_reward(tiny, gains):
     loop = Trainer(priced, gains).loop
     loop.step(np.zeros((2 * ENVS, 5)))
     after = loop.simulator.state.backlog_packets
-    less = user_rewards(loop.record, after, tiny) - user_rewards(loop.record, after, priced)
+    less = user_rewards(loop.record, after, np.zeros_like(loop.task_costs), tiny)
+    less -= user_rewards(loop.record, after, loop.task_costs, priced)
     error_cm = 100.0 * loop.record.tracking_error_m[:, 0]
     np.testing.assert_allclose(less[:, :3], 2.0 * error_cm / tiny.learning.reward_scale)
     assert (less[:, 3:] == 0.0).all()

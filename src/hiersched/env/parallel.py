@@ -36,7 +36,6 @@ class SlicingParallelEnv(ParallelEnv):
     ) -> None:
         self.possible_agents = list(AGENTS)
         self.agents: list[str] = []
-        self._scenario = scenario
         self._num_urllc = scenario.users.num_urllc
         self._cooperative = scenario.learning.reward == "cooperative"
         counts = {"urllc": scenario.users.num_urllc, "embb": scenario.users.num_embb}
@@ -89,7 +88,7 @@ class SlicingParallelEnv(ParallelEnv):
                 shape = np.shape(actions[agent])
                 raise ValueError(f"actions of {agent}: shape {shape}, must be {space.shape}")
         features = self._loop.step(np.concatenate([actions[agent] for agent in AGENTS])[None])
-        info = {name: v[0] for name, v in slot_info(self._loop.record, self._scenario).items()}
+        info = {name: v[0] for name, v in slot_info(self._loop).items()}
         rewards = {agent: float(info[f"reward_{agent}"]) for agent in AGENTS}
         if self._cooperative:
             rewards = dict.fromkeys(AGENTS, 0.5 * sum(rewards.values()))

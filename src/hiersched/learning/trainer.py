@@ -126,7 +126,9 @@ class Trainer:
         one, after = self.loop.record, self.loop.simulator.state.backlog_packets
         return Outcome(
             prb_count=self._by_seed(one.num_prb[:, 0]),
-            base_reward=self._by_seed(user_rewards(one, after, self.scenario)),
+            base_reward=self._by_seed(
+                user_rewards(one, after, self.loop.task_costs, self.scenario)
+            ),
             constraint=self._by_seed(one.constraint[:, 0]).copy(),
             next_features=following,
         )

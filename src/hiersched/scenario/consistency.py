@@ -309,6 +309,11 @@ def _learning(scenario: Scenario, section: str, learning: Learning) -> list[str]
                 f"{scenario.plant.model}, whose robots have no position",
             ),
             (
+                learning.reward_terms == "control_drift" and not scenario.plant.has_pose,
+                f"{section}.reward_terms = control_drift: must be drift_plus_penalty where "
+                f"plant.model = {scenario.plant.model}, whose robots have no position",
+            ),
+            (
                 learning.observe_demand and not scenario.plant.has_pose,
                 f"{section}.observe_demand = true: must be false where plant.model = "
                 f"{scenario.plant.model}, whose robots have no position",

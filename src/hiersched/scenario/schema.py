@@ -159,6 +159,7 @@ class Learning(_Strict):
     start: Literal["pf", "max_weight", "drift_plus_penalty"]
     weighs: Literal["utility", "drift"]
     reward: Literal["cooperative", "independent"]
+    reward_terms: Literal["drift_plus_penalty", "control_drift"]
     task_weight: NonNegative
     observe_robots: bool
     observe_demand: bool
