@@ -33,6 +33,7 @@ def random_outcome(rng):
         base_reward=rng.normal(size=(SEEDS, ENVS, USERS)),
         constraint=rng.normal(size=(SEEDS, ENVS, URLLC)),
         next_features=rng.normal(size=(SEEDS, ENVS, USERS, 8)).astype(np.float32),
+        record=None,
     )
 
 
@@ -59,6 +60,8 @@ def perceptron(flat, inputs, outputs):
 def outputs_of(network, flat, agent, features, kind):
     """Raw actions of an agent's users, or its values (one, or one a user), in NumPy."""
     users = range(URLLC) if agent == 0 else range(URLLC, USERS)
+    if network == "linear" and kind == "actor":
+        return features[users].astype(np.float64) @ flat[1:] + flat[0]
     if network == "mlp":
         seen = features.reshape(-1).astype(np.float64)
         return perceptron(flat, seen, 3 if kind == "actor" else 1)[: len(users)]
@@ -83,7 +86,7 @@ def check_signs(loss, flat, moved, rate):
     assert checked >= 3
 
 
-@pytest.mark.parametrize("network", ["shared", "mlp"])
+@pytest.mark.parametrize("network", ["shared", "mlp", "linear"])
 @pytest.mark.parametrize("reward", ["cooperative", "independent"])
 def test_one_update_against_loops_and_finite_differences(scenario, reward, network):
     """Adam's first step moves a parameter by the learning rate against its gradient's sign.
@@ -229,6 +232,7 @@ def test_a_two_state_problem_is_solved(scenario, network):
             base_reward=reward.astype(np.float64),
             constraint=np.zeros((SEEDS, 32, URLLC)),
             next_features=states[which],
+            record=None,
         )
         learner.learn(outcome, np.zeros((SEEDS, URLLC)), last=True)
     learner._learning = replace(learner._learning, exploration_std=0.0, exploration_final_std=0.0)

@@ -16,11 +16,11 @@ from hiersched.simulator import Simulator
 
 def some_policy(scenario, network="shared", start="pf", weighs="utility"):
     rng = np.random.default_rng(1)
-    size = {"shared": (24 + 1) * 6 + 7, "mlp": (5 * 8 + 1) * 6 + 7 * 3}[network]
+    size = {"shared": (24 + 1) * 6 + 7, "mlp": (5 * 8 + 1) * 6 + 7 * 3, "linear": 9}[network]
     return TrainedPolicy(
         parameters=rng.normal(size=(2, size)).astype(np.float32),
         network=network,
-        hidden=(6,),
+        hidden=() if network == "linear" else (6,),
         rule=start,
         weighs=weighs,
         observe_robots=False,
@@ -33,7 +33,7 @@ def some_policy(scenario, network="shared", start="pf", weighs="utility"):
     )
 
 
-@pytest.mark.parametrize("network", ["shared", "mlp"])
+@pytest.mark.parametrize("network", ["shared", "mlp", "linear"])
 @pytest.mark.parametrize("start", ["pf", "max_weight", "drift_plus_penalty"])
 def test_an_untrained_policy_is_the_scheduler_it_starts_from(scenario, gains, start, network):
     learning = replace(
@@ -49,7 +49,7 @@ def test_an_untrained_policy_is_the_scheduler_it_starts_from(scenario, gains, st
 
 
 @pytest.mark.parametrize("start", ["pf", "max_weight"])
-@pytest.mark.parametrize("network", ["shared", "mlp"])
+@pytest.mark.parametrize("network", ["shared", "mlp", "linear"])
 def test_a_policy_decides_and_its_multipliers_are_observed(
     scenario, gains, torch_weights, network, start
 ):
@@ -69,6 +69,7 @@ def test_a_policy_decides_and_its_multipliers_are_observed(
 
 def test_a_policy_on_the_drift_is_that_of_its_logged_weights(scenario, gains):
     """Compiled, in training and from a log: the weight is the policy's in the record of all."""
+    scenario = replace(scenario, objective=replace(scenario.objective, penalty_weight=1e5))
     policy = some_policy(scenario, start="drift_plus_penalty", weighs="drift")
     keys = world_keys("t", 1, 2)
     record = Simulator(scenario, gains, keys, 8).run(policy)
@@ -104,8 +105,9 @@ def test_a_run_in_two_parts_is_the_run(scenario, gains):
         np.testing.assert_array_equal(value, joined, err_msg=name)
 
 
-def test_a_saved_policy_comes_back_bit_for_bit(scenario, tmp_path):
-    policy = some_policy(scenario)
+@pytest.mark.parametrize("network", ["shared", "linear"])
+def test_a_saved_policy_comes_back_bit_for_bit(scenario, tmp_path, network):
+    policy = some_policy(scenario, network)
     policy.save(tmp_path / "policy.json")
     loaded = TrainedPolicy.load(tmp_path / "policy.json")
     for name, value in vars(policy).items():
@@ -126,7 +128,7 @@ def test_a_policy_of_format_3_says_less_and_is_the_same(scenario, tmp_path):
     for name, value in vars(policy).items():
         np.testing.assert_array_equal(value, getattr(loaded, name), err_msg=name)
     path.write_text(seal_json({"format": "hiersched policy 4", **document}))
-    with pytest.raises(PolicyError, match="observe_demand"):
+    with pytest.raises(PolicyError, match="weighs: Field required"):
         TrainedPolicy.load(path)
 
 
@@ -148,7 +150,9 @@ def test_files_that_are_no_policy_are_refused(scenario, tmp_path):
         ({"hidden": [6, 6]}, "314 parameters: must be 2 x 199 "),
         ({"hidden": [0]}, "hidden.0: Input should be greater than or equal to 1"),
         ({"hidden": [10**9] * 9}, "hidden.0: Input should be less than or equal to 10000"),
-        ({"network": "transformer"}, "network: Input should be 'shared' or 'mlp'"),
+        ({"network": "transformer"}, "network: Input should be 'shared', 'mlp' or 'linear'"),
+        ({"hidden": []}, "must be one layer or more with network = 'shared'"),
+        ({"network": "linear"}, "must be no layer with network = 'linear'"),
         ({"multipliers": [-1.0]}, "multipliers.0: Input should be greater than or equal to 0"),
         ({"weighs": "speed"}, "weighs: Input should be 'utility' or 'drift'"),
         ({"weighs": "drift"}, "weighs = 'drift': must be 'utility' with rule = 'pf'"),

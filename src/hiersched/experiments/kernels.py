@@ -52,11 +52,12 @@ class _Untrained(Weigher):
         """As in `Weigher`."""
         users = setup.scenario.users
         counts = {"num_urllc": users.num_urllc, "num_embb": users.num_embb}
-        sizes = layer_sizes(self._network, (1,), num_features(False, False), **counts)
+        hidden = () if self._network == "linear" else (1,)
+        sizes = layer_sizes(self._network, hidden, num_features(False, False), **counts)
         return network_words(
             np.zeros((2, num_parameters(sizes)), np.float32),
             self._network,
-            (1,),
+            hidden,
             observe_robots=False,
             observe_demand=False,
             weight_exponent=1.0,

@@ -20,6 +20,7 @@ from hiersched.models.model import Setup
 from hiersched.policies.features import FEATURE_VERSION, FEATURES, num_features
 from hiersched.policies.learned import (
     FlatWords,
+    LinearWords,
     SharedWords,
     layer_sizes,
     network_words,
@@ -44,10 +45,8 @@ class _Content:
     """What a policy file holds besides its format; `parameters` are bytes in base 64."""
 
     feature_version: int
-    network: Literal["shared", "mlp"]
-    hidden: Annotated[
-        tuple[Annotated[int, Field(ge=1, le=10_000)], ...], Field(min_length=1, max_length=20)
-    ]
+    network: Literal["shared", "mlp", "linear"]
+    hidden: Annotated[tuple[Annotated[int, Field(ge=1, le=10_000)], ...], Field(max_length=20)]
     rule: Literal["pf", "max_weight", "drift_plus_penalty"]
     weighs: Literal["utility", "drift"]
     observe_robots: bool
@@ -65,7 +64,7 @@ class TrainedPolicy(Weigher):
     """Both actors of one seed after training; runs as a kernel, without noise."""
 
     parameters: NDArray[np.float32]  # (2, P) of the URLLC and the eMBB actor
-    network: str  # ``shared`` or ``mlp``
+    network: str  # ``shared``, ``mlp`` or ``linear``
     hidden: tuple[int, ...]  # its hidden layers
     rule: str  # the scheduler whose utilities, or drift, the weights multiply
     weighs: str  # ``utility`` or ``drift``: which of them
@@ -78,7 +77,7 @@ class TrainedPolicy(Weigher):
     seed: int
     scenario_sha256: str
 
-    def words(self, setup: Setup) -> SharedWords | FlatWords:
+    def words(self, setup: Setup) -> SharedWords | FlatWords | LinearWords:
         """As in `Weigher`; ValueError if the policy is for other numbers of users."""
         users = setup.scenario.users
         mine, theirs = (len(self.multipliers), self.num_embb), (users.num_urllc, users.num_embb)
@@ -159,7 +158,7 @@ class TrainedPolicy(Weigher):
         if self.network == "mlp":
             raise ValueError(
                 f"{num_urllc} URLLC and {num_embb} eMBB users: must be {mine[0]} and {mine[1]}, on "
-                "which this mlp policy was trained (a shared one runs on any number)"
+                "which this mlp policy was trained (shared and linear ones run on any number)"
             )
         multipliers = self.multipliers
         if num_urllc != len(multipliers):

@@ -285,6 +285,7 @@ def _learners(scenario: Scenario) -> list[str]:
 
 def _learning(scenario: Scenario, section: str, learning: Learning) -> list[str]:
     round_slots = learning.num_envs * learning.slots_per_episode
+    is_es = learning.algorithm == "es"
     return [
         *_algorithm(section, learning),
         *_once(f"{section}.seeds", learning.seeds, "seed"),
@@ -299,7 +300,7 @@ def _learning(scenario: Scenario, section: str, learning: Learning) -> list[str]
                 f"{section}.checkpoints = {learning.checkpoints}: at most {MOST_CHECKPOINTS}",
             ),
             (
-                learning.replay_capacity < round_slots,
+                learning.algorithm == "ddpg" and learning.replay_capacity < round_slots,
                 f"{section}.replay_capacity = {learning.replay_capacity}: at least "
                 f"{section}.num_envs * {section}.slots_per_episode = {round_slots}",
             ),
@@ -322,6 +323,21 @@ def _learning(scenario: Scenario, section: str, learning: Learning) -> list[str]
                 learning.start == "drift_plus_penalty" and learning.algorithm == "ddpg",
                 f"{section}.start = drift_plus_penalty: must be pf or max_weight with "
                 f"{section}.algorithm = ddpg, whose actors need the gradient of the allocation",
+            ),
+            (
+                is_es and learning.num_envs % (2 * learning.pairs + 1) > 0,
+                f"{section}.num_envs = {learning.num_envs}: must be a multiple of 2 * "
+                f"{section}.pairs + 1 = {2 * learning.pairs + 1} with {section}.algorithm = es",
+            ),
+            (
+                is_es and learning.frozen,
+                f"{section}.frozen = true: must be false with {section}.algorithm = es, which puts "
+                "no noise on actions",
+            ),
+            (
+                is_es and learning.fitness == "tracking" and not scenario.plant.has_pose,
+                f"{section}.fitness = tracking: must be reward where plant.model = "
+                f"{scenario.plant.model}, whose robots have no position",
             ),
             (
                 learning.weighs == "drift" and learning.start != "drift_plus_penalty",
