@@ -19,7 +19,12 @@ VARIANTS = {
     "ddpg": {},
     "ddpg, mlp, from max_weight": {"network": "mlp", "start": "max_weight"},
     "a2c": {"algorithm": "a2c", "rollout_slots": 4},
-    "a2c, linear": {"algorithm": "a2c", "rollout_slots": 3, "network": "linear"},
+    "a2c, linear, counterfactual": {
+        "algorithm": "a2c",
+        "rollout_slots": 3,
+        "network": "linear",
+        "advantage": "counterfactual",
+    },
     "es, linear": {
         "algorithm": "es",
         "network": "linear",

@@ -325,6 +325,12 @@ def _learning(scenario: Scenario, section: str, learning: Learning) -> list[str]
                 f"{section}.algorithm = ddpg, whose actors need the gradient of the allocation",
             ),
             (
+                learning.advantage == "user"
+                and (learning.network == "mlp" or learning.reward == "cooperative"),
+                f"{section}.advantage = user: must be slice or counterfactual where "
+                f"{section}.network = mlp, which values no user, or {section}.reward = cooperative",
+            ),
+            (
                 is_es and learning.num_envs % (2 * learning.pairs + 1) > 0,
                 f"{section}.num_envs = {learning.num_envs}: must be a multiple of 2 * "
                 f"{section}.pairs + 1 = {2 * learning.pairs + 1} with {section}.algorithm = es",

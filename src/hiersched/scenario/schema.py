@@ -175,6 +175,7 @@ class Learning(_Strict):
     reward_scale: Positive
     discount: Annotated[float, Field(ge=0, lt=1)]
     rollout_slots: Count
+    advantage: Literal["slice", "user", "counterfactual"]
     gae_decay: Annotated[float, Field(ge=0, le=1)]
     pairs: Count
     perturbation_std: Positive
