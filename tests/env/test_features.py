@@ -135,6 +135,8 @@ def test_the_drift_of_a_control_cost_by_hand(scenario, gains):
 
 
 def test_an_environment_pays_the_drift_of_the_control_cost(scenario, gains):
+    traffic = replace(scenario.traffic, urllc_offered_mbps=40.0)
+    scenario = replace(scenario, traffic=traffic)
     learning = replace(scenario.learning, reward_terms="control_drift")
     env = SlicingVectorEnv(replace(scenario, learning=learning), gains, 2)
     plain = SlicingVectorEnv(scenario, gains, 2)
