@@ -270,7 +270,7 @@ def torch_weights():
         network = NETWORKS[policy.network](slices, features.shape[2], policy.hidden)
         with torch.no_grad():
             inputs = network.inputs(torch.from_numpy(features).unsqueeze(0))
-            outputs = network.actor.forward(torch.from_numpy(policy.parameters), inputs)
+            outputs = network.actor_outputs(torch.from_numpy(policy.parameters), inputs)
             actions = network.raw_actions(outputs, 1).tanh()[0].numpy()
         return action_weights(actions, policy.weight_exponent)
 

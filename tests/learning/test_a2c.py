@@ -33,6 +33,7 @@ def random_outcome(rng):
         base_reward=rng.normal(size=(SEEDS, ENVS, USERS)),
         constraint=rng.normal(size=(SEEDS, ENVS, URLLC)),
         next_features=rng.normal(size=(SEEDS, ENVS, USERS, 8)).astype(np.float32),
+        record=None,
     )
 
 
@@ -59,6 +60,8 @@ def perceptron(flat, inputs, outputs):
 def outputs_of(network, flat, agent, features, kind):
     """Raw actions of an agent's users, or its values (one, or one a user), in NumPy."""
     users = range(URLLC) if agent == 0 else range(URLLC, USERS)
+    if network == "linear" and kind == "actor":
+        return features[users].astype(np.float64) @ flat[1:] + flat[0]
     if network == "mlp":
         seen = features.reshape(-1).astype(np.float64)
         return perceptron(flat, seen, 3 if kind == "actor" else 1)[: len(users)]
@@ -83,7 +86,7 @@ def check_signs(loss, flat, moved, rate):
     assert checked >= 3
 
 
-@pytest.mark.parametrize("network", ["shared", "mlp"])
+@pytest.mark.parametrize("network", ["shared", "mlp", "linear"])
 @pytest.mark.parametrize("reward", ["cooperative", "independent"])
 def test_one_update_against_loops_and_finite_differences(scenario, reward, network):
     """Adam's first step moves a parameter by the learning rate against its gradient's sign.
@@ -229,8 +232,83 @@ def test_a_two_state_problem_is_solved(scenario, network):
             base_reward=reward.astype(np.float64),
             constraint=np.zeros((SEEDS, 32, URLLC)),
             next_features=states[which],
+            record=None,
         )
         learner.learn(outcome, np.zeros((SEEDS, URLLC)), last=True)
     learner._learning = replace(learner._learning, exploration_std=0.0, exploration_final_std=0.0)
     actions = learner.explore(np.stack([states, states]), 1.0)
     assert (actions * worth > 0.5).all()
+
+
+def credit(scenario, advantage, *, shared_by_all):
+    """How well actions follow what they earn after few updates of a problem of one slot.
+
+    Twenty users; an action earns its user, or all in its slice alike, what the user's first feature
+    says. In a slice's mean the others are noise.
+    """
+    scenario = replace(scenario, users=replace(scenario.users, num_urllc=10, num_embb=10))
+    learner, _ = learner_for(
+        scenario,
+        advantage=advantage,
+        reward="independent",
+        discount=0.0,
+        actor_lr=1e-2,
+        critic_lr=1e-2,
+        num_envs=4,
+        rollout_slots=1,
+        hidden=(16,),
+        critic_warmup_updates=100,
+    )
+    rng = np.random.default_rng(4)
+    features = rng.normal(size=(SEEDS, 4, 20, 8)).astype(np.float32)
+    for _ in range(160):
+        learner.start_round(features)
+        earned = features[..., 0] * learner.explore(features, 0.0)
+        if shared_by_all:
+            slices = np.split(earned, 2, axis=-1)
+            earned = np.concatenate(
+                [np.repeat(part.mean(-1, keepdims=True), 10, axis=-1) for part in slices], axis=-1
+            )
+        features = rng.normal(size=features.shape).astype(np.float32)
+        outcome = Outcome(
+            prb_count=np.ones((SEEDS, 4, 20), np.uint32),
+            base_reward=(earned + 0.3 * rng.normal(size=earned.shape)).astype(np.float64),
+            constraint=np.zeros((SEEDS, 4, 10)),
+            next_features=features,
+            record=None,
+        )
+        learner.learn(outcome, np.zeros((SEEDS, 10)), last=True)
+    actions = learner.act(features)
+    return np.corrcoef(actions.ravel(), np.sign(features[..., 0]).ravel())[0, 1]
+
+
+@pytest.mark.parametrize("shared_by_all", [False, True])
+def test_counterfactual_advantages_find_who_earned(scenario, shared_by_all):
+    assert credit(scenario, "counterfactual", shared_by_all=shared_by_all) > 0.75
+    assert credit(scenario, "slice", shared_by_all=shared_by_all) < 0.65
+
+
+def test_a_users_own_advantage_finds_what_it_earns_for_itself_and_no_more(scenario):
+    assert credit(scenario, "user", shared_by_all=False) > 0.75
+    assert credit(scenario, "user", shared_by_all=True) < 0.5
+
+
+def test_a_counterfactual_by_hand(scenario):
+    """Critics that are sums: a user's action is worth its slope times its way from the mean."""
+    learner, _ = learner_for(scenario, advantage="counterfactual", network="shared")
+    rng = np.random.default_rng(2)
+    learner.actor.copy_(torch.from_numpy(rng.normal(size=learner.actor.shape) * 0.3))
+    features = rng.normal(size=(SEEDS, ENVS, USERS, 8)).astype(np.float32)
+    learner.start_round(features)
+    drawn = learner.explore(features, 0.0)
+    mean = learner.act(features)
+    # One hidden unit counts: 50 + 2 own + 3 mean of the slice + 4 mean of the other slice.
+    critic = learner.action_critic.zero_()
+    critic[:, 0] = 50.0
+    # After the 24 inputs of the state come an action and its products with 8 features, three times.
+    critic[:, 3 + 3 * 24 : 3 + 3 * 51 : 3 * 9] = torch.tensor([2.0, 3.0, 4.0])
+    critic[:, 3 + 3 * 51 + 1] = 1.0
+    got = learner._counterfactual(torch.from_numpy(features)).numpy()
+    counts = np.array([3, 3, 3, 2, 2])
+    wanted = (drawn - mean) * 0.5 * (2.0 + 3.0 + 4.0) / counts
+    np.testing.assert_allclose(got, wanted, atol=2e-5)

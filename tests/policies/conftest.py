@@ -39,6 +39,11 @@ class State(NamedTuple):
     multiplier: NDArray[np.float64]  # (E, R)
     gain_delay_steps: NDArray[np.uint32]  # (E, R)
     robot_state: NDArray[np.float64]  # (E, R, N)
+    set_point_age_s: NDArray[np.float64]  # (E, R), and so are the next four
+    set_point_speed_mps: NDArray[np.float64]
+    set_point_acceleration_mps2: NDArray[np.float64]
+    set_point_gap_m: NDArray[np.float64]
+    reported_error_m: NDArray[np.float64]
     weight: NDArray[np.float64]  # (E, U)
 
 
@@ -78,6 +83,11 @@ def random_worlds(
                 multiplier=rng.exponential(1.0, num_urllc),
                 gain_delay_steps=rng.integers(0, 7, num_urllc, dtype=np.uint32),
                 robot_state=rng.normal(scale=0.05, size=(num_urllc, 5)),
+                set_point_age_s=rng.exponential(0.05, num_urllc),
+                set_point_speed_mps=rng.exponential(0.5, num_urllc),
+                set_point_acceleration_mps2=rng.exponential(2.0, num_urllc),
+                set_point_gap_m=rng.exponential(0.02, num_urllc),
+                reported_error_m=rng.exponential(0.02, num_urllc),
                 weight=np.ones(num_users),
             )
         )

@@ -6,14 +6,18 @@ import hashlib
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
 import llvmlite.binding
 import numpy as np
 import pytest
+import torch
 
 from hiersched.core.pointer import Pointer
+from hiersched.env import action_weights
+from hiersched.learning.es import EvolutionStrategy
 from hiersched.policies.features import num_features, observe_worlds
 from hiersched.policies.learned import network_words
 from hiersched.policies.trained import TrainedPolicy
@@ -21,10 +25,12 @@ from hiersched.policies.trained import TrainedPolicy
 EXPONENT = 2.0
 
 
-def random_parameters(network, hidden, *, observe_robots=False, num_urllc=10, num_embb=10):
+def random_parameters(
+    network, hidden, *, observe_robots=False, observe_demand=False, num_urllc=10, num_embb=10
+):
     """Networks whose actions are spread over (-1, 1)."""
     rng = np.random.default_rng(7)
-    count = num_features(observe_robots)
+    count = num_features(observe_robots, observe_demand)
     inputs, outputs = (
         (3 * count, 1)
         if network == "shared"
@@ -36,8 +42,14 @@ def random_parameters(network, hidden, *, observe_robots=False, num_urllc=10, nu
     return np.concatenate(parts, axis=1).astype(np.float32)
 
 
-def make_words(network, hidden, *, observe_robots=False, num_urllc=10, num_embb=10):
-    sizes = {"num_urllc": num_urllc, "num_embb": num_embb, "observe_robots": observe_robots}
+def make_words(network, hidden, **sizes):
+    sizes = {
+        "num_urllc": 10,
+        "num_embb": 10,
+        "observe_robots": False,
+        "observe_demand": False,
+        **sizes,
+    }
     return network_words(
         random_parameters(network, hidden, **sizes),
         network,
@@ -47,7 +59,9 @@ def make_words(network, hidden, *, observe_robots=False, num_urllc=10, num_embb=
     )
 
 
-@pytest.mark.parametrize("observe_robots", [False, True])
+@pytest.mark.parametrize(
+    ("observe_robots", "observe_demand"), [(False, False), (True, False), (True, True)]
+)
 @pytest.mark.parametrize("network", ["shared", "mlp"])
 @pytest.mark.parametrize(
     ("hidden", "num_urllc", "num_embb"),
@@ -61,28 +75,89 @@ def make_words(network, hidden, *, observe_robots=False, num_urllc=10, num_embb=
     ],
 )
 def test_actions_are_those_of_torch(
-    make_worlds, weigh, torch_weights, network, hidden, num_urllc, num_embb, observe_robots
+    make_worlds,
+    weigh,
+    torch_weights,
+    network,
+    hidden,
+    num_urllc,
+    num_embb,
+    observe_robots,
+    observe_demand,
 ):
-    sizes = {"num_urllc": num_urllc, "num_embb": num_embb, "observe_robots": observe_robots}
+    observed = {"observe_robots": observe_robots, "observe_demand": observe_demand}
+    sizes = {"num_urllc": num_urllc, "num_embb": num_embb, **observed}
     constants, state = make_worlds(num_urllc, num_embb, num_envs=50)
     policy = TrainedPolicy(
         parameters=random_parameters(network, hidden, **sizes),
         network=network,
         hidden=hidden,
         rule="pf",
-        observe_robots=observe_robots,
+        weighs="utility",
+        **observed,
         weight_exponent=EXPONENT,
         num_embb=num_embb,
         multipliers=np.zeros(num_urllc),
         seed=1,
         scenario_sha256="",
     )
-    features = np.empty((50, num_urllc + num_embb, num_features(observe_robots)), np.float32)
-    observe_worlds(Pointer(constants), Pointer(state), observe_robots, features)
+    features = np.empty(
+        (50, num_urllc + num_embb, num_features(observe_robots, observe_demand)), np.float32
+    )
+    observe_worlds(Pointer(constants), Pointer(state), observe_robots, observe_demand, features)
     wanted = np.log(torch_weights(policy, features)) / EXPONENT
     got = np.log(weigh(make_words(network, hidden, **sizes), constants, state)) / EXPONENT
     assert np.abs(got - wanted).max() < 1e-6
     assert np.std(wanted) > 0.03  # the worlds and users differ
+
+
+@pytest.mark.parametrize(
+    ("observe_robots", "observe_demand"), [(False, False), (True, False), (False, True)]
+)
+@pytest.mark.parametrize(("num_urllc", "num_embb"), [(10, 10), (1, 1), (3, 7)])
+def test_a_linear_policy_has_the_bits_of_its_training(
+    make_worlds, weigh, scenario, num_urllc, num_embb, observe_robots, observe_demand
+):
+    """The kernel, the learner's network and Python's exact sums of doubles."""
+    observed = {"observe_robots": observe_robots, "observe_demand": observe_demand}
+    count = num_features(**observed)
+    parameters = np.random.default_rng(2).normal(size=(2, count + 1)).astype(np.float32) / 4
+    words = network_words(
+        parameters,
+        "linear",
+        (),
+        weight_exponent=EXPONENT,
+        num_urllc=num_urllc,
+        num_embb=num_embb,
+        **observed,
+    )
+    constants, state = make_worlds(num_urllc, num_embb, num_envs=60)
+    got = weigh(words, constants, state)
+    features = np.empty((60, num_urllc + num_embb, count), np.float32)
+    observe_worlds(Pointer(constants), Pointer(state), observe_robots, observe_demand, features)
+    learning = replace(
+        scenario.learning, algorithm="es", network="linear", num_envs=13, seeds=(1,), **observed
+    )
+    users = replace(scenario.users, num_urllc=num_urllc, num_embb=num_embb)
+    learner = EvolutionStrategy(replace(scenario, users=users, learning=learning), [])
+    assert learner.actor.shape == parameters.shape
+    learner.actor.copy_(torch.from_numpy(parameters))
+    actions = learner.act(features[None])[0]
+    np.testing.assert_array_equal(action_weights(actions, EXPONENT), got)
+    for env, user in ((0, 0), (59, num_urllc), (30, num_urllc + num_embb - 1)):
+        agent = int(user >= num_urllc)
+        total = float(parameters[agent, 0])
+        for x, w in zip(features[env, user], parameters[agent, 1:], strict=True):
+            total += float(x) * float(w)
+        wanted = np.exp(EXPONENT * np.float64(np.float32(np.tanh(np.float64(np.float32(total))))))
+        assert got[env, user] == np.float32(wanted)
+    assert np.std(np.log(got)) > 0.1
+
+
+@pytest.mark.parametrize(("network", "hidden"), [("linear", (4,)), ("shared", ()), ("mlp", ())])
+def test_hidden_layers_that_a_network_cannot_have_are_refused(network, hidden):
+    with pytest.raises(ValueError, match=rf"hidden = .* must be .* with network = '{network}'"):
+        make_words(network, hidden)
 
 
 def test_a_network_of_zeros_weighs_all_users_alike(make_worlds, weigh):
@@ -92,6 +167,7 @@ def test_a_network_of_zeros_weighs_all_users_alike(make_worlds, weigh):
             network,
             (4,),
             observe_robots=False,
+            observe_demand=False,
             weight_exponent=EXPONENT,
             num_urllc=10,
             num_embb=10,
@@ -152,6 +228,7 @@ for network, hidden in {cases!r}:
         network,
         hidden,
         observe_robots=True,
+        observe_demand=True,
         weight_exponent={exponent!r},
         num_urllc=7,
         num_embb=10,
@@ -168,7 +245,7 @@ TARGET_CASES = (("shared", (64, 37)), ("mlp", (37, 64)))
 )
 def test_every_processor_target_gives_the_same_bits(make_worlds, weigh, tmp_path):
     """Vectors of 4 without FMA instructions, of 8 with them, and what this processor has."""
-    sizes = {"observe_robots": True, "num_urllc": 7, "num_embb": 10}
+    sizes = {"observe_robots": True, "observe_demand": True, "num_urllc": 7, "num_embb": 10}
     digests = {"host": []}
     for network, hidden in TARGET_CASES:
         np.save(tmp_path / f"{network}.npy", random_parameters(network, hidden, **sizes))
@@ -206,6 +283,7 @@ def test_parameters_of_another_shape_are_refused():
             "shared",
             (8,),
             observe_robots=False,
+            observe_demand=False,
             weight_exponent=EXPONENT,
             num_urllc=10,
             num_embb=10,
@@ -213,12 +291,13 @@ def test_parameters_of_another_shape_are_refused():
 
 
 def test_an_unknown_network_is_refused():
-    with pytest.raises(ValueError, match="network = 'transformer': must be one of shared, mlp"):
+    with pytest.raises(ValueError, match="'transformer': must be one of shared, mlp, linear"):
         network_words(
             np.zeros((2, 1), np.float32),
             "transformer",
             (8,),
             observe_robots=False,
+            observe_demand=False,
             weight_exponent=EXPONENT,
             num_urllc=1,
             num_embb=1,

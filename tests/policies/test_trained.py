@@ -8,20 +8,23 @@ import pytest
 
 from hiersched.core.randomness import world_keys
 from hiersched.core.sealed import seal_json, unseal_json
+from hiersched.env import SlotLoop
 from hiersched.learning.trainer import Trainer
 from hiersched.policies.trained import PolicyError, TrainedPolicy
 from hiersched.simulator import Simulator
 
 
-def some_policy(scenario, network="shared", start="pf"):
+def some_policy(scenario, network="shared", start="pf", weighs="utility"):
     rng = np.random.default_rng(1)
-    size = {"shared": (24 + 1) * 6 + 7, "mlp": (5 * 8 + 1) * 6 + 7 * 3}[network]
+    size = {"shared": (24 + 1) * 6 + 7, "mlp": (5 * 8 + 1) * 6 + 7 * 3, "linear": 9}[network]
     return TrainedPolicy(
         parameters=rng.normal(size=(2, size)).astype(np.float32),
         network=network,
-        hidden=(6,),
+        hidden=() if network == "linear" else (6,),
         rule=start,
+        weighs=weighs,
         observe_robots=False,
+        observe_demand=False,
         num_embb=2,
         weight_exponent=scenario.learning.weight_exponent,
         multipliers=np.array([0.1, 2.0, 0.0]),
@@ -30,7 +33,7 @@ def some_policy(scenario, network="shared", start="pf"):
     )
 
 
-@pytest.mark.parametrize("network", ["shared", "mlp"])
+@pytest.mark.parametrize("network", ["shared", "mlp", "linear"])
 @pytest.mark.parametrize("start", ["pf", "max_weight", "drift_plus_penalty"])
 def test_an_untrained_policy_is_the_scheduler_it_starts_from(scenario, gains, start, network):
     learning = replace(
@@ -46,7 +49,7 @@ def test_an_untrained_policy_is_the_scheduler_it_starts_from(scenario, gains, st
 
 
 @pytest.mark.parametrize("start", ["pf", "max_weight"])
-@pytest.mark.parametrize("network", ["shared", "mlp"])
+@pytest.mark.parametrize("network", ["shared", "mlp", "linear"])
 def test_a_policy_decides_and_its_multipliers_are_observed(
     scenario, gains, torch_weights, network, start
 ):
@@ -62,6 +65,26 @@ def test_a_policy_decides_and_its_multipliers_are_observed(
     simulator.reset(world_keys("t", 1, 2))
     again = simulator.run(start, 1, weights=logged, multipliers=record.multiplier[:, 0].copy())
     np.testing.assert_array_equal(again.prb_owner[:, 0], record.prb_owner[:, 0])
+
+
+def test_a_policy_on_the_drift_is_that_of_its_logged_weights(scenario, gains):
+    """Compiled, in training and from a log: the weight is the policy's in the record of all."""
+    scenario = replace(scenario, objective=replace(scenario.objective, penalty_weight=1e5))
+    policy = some_policy(scenario, start="drift_plus_penalty", weighs="drift")
+    keys = world_keys("t", 1, 2)
+    record = Simulator(scenario, gains, keys, 8).run(policy)
+    learning = replace(scenario.learning, start="drift_plus_penalty", weighs="drift")
+    loop = SlotLoop(replace(scenario, learning=learning), gains, keys, 8)
+    loop.multipliers[:] = policy.multipliers
+    utility = some_policy(scenario, start="drift_plus_penalty")
+    other = Simulator(scenario, gains, keys, 8).run(utility)
+    for slot in range(8):
+        logged = record.weight[:, slot].astype(np.float64)
+        loop.step(np.log(logged) / learning.weight_exponent)
+        np.testing.assert_array_equal(loop.record.prb_owner[:, 0], record.prb_owner[:, slot])
+        np.testing.assert_allclose(loop.record.weight[:, 0], logged, rtol=1e-6)
+    np.testing.assert_array_equal(other.weight[:, 0], record.weight[:, 0])
+    assert not np.array_equal(other.prb_owner, record.prb_owner)
 
 
 def test_an_mlp_runs_on_the_users_of_its_training_only(scenario, gains):
@@ -82,13 +105,31 @@ def test_a_run_in_two_parts_is_the_run(scenario, gains):
         np.testing.assert_array_equal(value, joined, err_msg=name)
 
 
-def test_a_saved_policy_comes_back_bit_for_bit(scenario, tmp_path):
-    policy = some_policy(scenario)
+@pytest.mark.parametrize("network", ["shared", "linear"])
+def test_a_saved_policy_comes_back_bit_for_bit(scenario, tmp_path, network):
+    policy = some_policy(scenario, network)
     policy.save(tmp_path / "policy.json")
     loaded = TrainedPolicy.load(tmp_path / "policy.json")
     for name, value in vars(policy).items():
         np.testing.assert_array_equal(value, getattr(loaded, name), err_msg=name)
     assert [path.name for path in tmp_path.iterdir()] == ["policy.json"]
+
+
+def test_a_policy_of_format_3_says_less_and_is_the_same(scenario, tmp_path):
+    path = tmp_path / "policy.json"
+    policy = some_policy(scenario)
+    policy.save(path)
+    document = unseal_json(path.read_bytes())
+    assert document.pop("format") == "hiersched policy 4"
+    assert document.pop("observe_demand") is False
+    assert document.pop("weighs") == "utility"
+    path.write_text(seal_json({"format": "hiersched policy 3", **document}))
+    loaded = TrainedPolicy.load(path)
+    for name, value in vars(policy).items():
+        np.testing.assert_array_equal(value, getattr(loaded, name), err_msg=name)
+    path.write_text(seal_json({"format": "hiersched policy 4", **document}))
+    with pytest.raises(PolicyError, match="weighs: Field required"):
+        TrainedPolicy.load(path)
 
 
 def test_files_that_are_no_policy_are_refused(scenario, tmp_path):
@@ -103,13 +144,18 @@ def test_files_that_are_no_policy_are_refused(scenario, tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"format": "hiersched policy 2"}, "its format is another than 'hiersched policy 3'"),
+        ({"format": "hiersched policy 2"}, "its format is another than 'hiersched policy 4' or"),
+        ({"observe_demand": None}, "observe_demand: Input should be a valid boolean"),
         ({"feature_version": 99}, "feature_version = 99: must be 1 "),
         ({"hidden": [6, 6]}, "314 parameters: must be 2 x 199 "),
         ({"hidden": [0]}, "hidden.0: Input should be greater than or equal to 1"),
         ({"hidden": [10**9] * 9}, "hidden.0: Input should be less than or equal to 10000"),
-        ({"network": "transformer"}, "network: Input should be 'shared' or 'mlp'"),
+        ({"network": "transformer"}, "network: Input should be 'shared', 'mlp' or 'linear'"),
+        ({"hidden": []}, "must be one layer or more with network = 'shared'"),
+        ({"network": "linear"}, "must be no layer with network = 'linear'"),
         ({"multipliers": [-1.0]}, "multipliers.0: Input should be greater than or equal to 0"),
+        ({"weighs": "speed"}, "weighs: Input should be 'utility' or 'drift'"),
+        ({"weighs": "drift"}, "weighs = 'drift': must be 'utility' with rule = 'pf'"),
         ({"parameters": "*"}, "base64"),
         (
             {"parameters": b64encode(b"\x00\x00\xc0\x7f" * 314).decode()},

@@ -30,9 +30,11 @@ control: {max_delay_s: 0.04}
 robot: {window_s: 0.1}
 learning: {seeds: [1], episodes: 4, slots_per_episode: 12, num_envs: 2, hidden: [8],
            batch_size: 8, warmup_slots: 4}
-learners: {flat: {algorithm: a2c, network: mlp, start: drift_plus_penalty, seeds: [2]}}
+learners: {flat: {algorithm: a2c, network: mlp, start: drift_plus_penalty, seeds: [2]},
+           aware: {algorithm: es, network: linear, start: drift_plus_penalty, weighs: drift,
+                   observe_demand: true, pairs: 1, num_envs: 6, episodes: 12, seeds: [3]}}
 evaluate: {seeds: [11, 12], warmup_s: 0.1, duration_s: 0.3, full_logs: 0,
-           policies: [ddpg, flat, pf, edf, drift_plus_penalty]}
+           policies: [ddpg, flat, aware, pf, edf, drift_plus_penalty]}
 sweeps: {seeds: [21], warmup_s: 0.0, duration_s: 0.1, policies: [ddpg, pf],
          axes: {rayleigh_scale: {vary: {radio.fading.scale: [0.5]}},
                 reference: {vary: {robot.reference: [arc]}}, sampling_s: null, load: null,

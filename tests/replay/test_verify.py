@@ -25,7 +25,7 @@ from hiersched.scenario import Scenario
 from hiersched.study.metrics import measured_row
 
 FULL = "runs/evaluate/edf/seed12.mcap"
-EVALUATED = ("ddpg", "flat", "pf", "edf", "drift_plus_penalty")
+EVALUATED = ("ddpg", "flat", "aware", "pf", "edf", "drift_plus_penalty")
 SWEEP = "runs/reference/arc/ddpg/seed21.mcap"
 TOPIC_OF = {field.name: name for name, topic in TOPICS.items() for field in topic.fields}
 
@@ -41,13 +41,28 @@ def test_every_log_of_a_study_is_what_the_simulator_computes(study: Path) -> Non
     assert stages == {
         ("train", "ddpg"): 1,
         ("train", "flat"): 1,
+        ("train", "aware"): 1,
         ("checkpoint", "ddpg"): 1,
         ("checkpoint", "flat"): 1,
+        ("checkpoint", "aware"): 1,
         **{("evaluate", policy): 2 for policy in EVALUATED},
         **{("sweep", policy): 2 for policy in ("ddpg", "pf")},
         **{("generalise", policy): 1 for policy in ("ddpg", "pf")},
         ("gain_study", "none"): 2 + 5,  # nominal on both plants, five methods
     }
+
+
+def test_a_log_says_what_its_weights_are_factors_of(
+    study: Path, tmp_path: Path, rewrite: Any
+) -> None:
+    path = study / "runs/evaluate/aware/seed11.mcap"
+    assert load_run(path).metadata["weighs"] == "drift"
+
+    def change(fields: dict[str, Any], events: list, metadata: dict) -> None:
+        metadata["weighs"] = "speed"
+
+    with pytest.raises(ValueError, match="weighs = 'speed' with the allocation 'lagrangian'"):
+        verify(load_run(rewrite(path, tmp_path / "log.mcap", change)))
 
 
 def test_batches_are_the_same_run(study: Path, monkeypatch: pytest.MonkeyPatch) -> None:

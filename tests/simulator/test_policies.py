@@ -353,6 +353,28 @@ def test_weights_are_held_for_all_slots_of_a_run(make_simulator, assert_same_bit
     assert (plain.run(rule, 5).weight == 1.0).all()
 
 
+def test_weights_on_the_drift_are_a_smaller_penalty(
+    smoke_scenario, make_simulator, assert_same_bits
+):
+    """k drift + V penalty is least where drift + (V / k) penalty is; k = 4 rounds nothing."""
+    four = np.full((2, 8), 4.0)
+    weighed = make_simulator().run("drift_plus_penalty", weights=four, weighs="drift")
+    penalty = smoke_scenario.objective.penalty_weight / 4.0
+    assert (weighed.weight == 4.0).all()
+    wanted = make_simulator(objective={"penalty_weight": penalty}).run("drift_plus_penalty")
+    np.testing.assert_array_equal(weighed.prb_owner, wanted.prb_owner)
+    plain = make_simulator().run("drift_plus_penalty", weights=four)
+    assert not np.array_equal(plain.prb_owner, wanted.prb_owner)
+    logged = LoggedWeights(weighed.weight.astype(np.float64), "drift_plus_penalty", "drift")
+    assert_same_bits(make_simulator().run(logged), weighed)
+
+
+@pytest.mark.parametrize(("rule", "weighs"), [("pf", "drift"), ("drift_plus_penalty", "speed")])
+def test_weights_on_what_a_rule_does_not_have_are_refused(make_simulator, rule, weighs):
+    with pytest.raises(ValueError, match=rf"weighs = '{weighs}' with the allocation"):
+        make_simulator().run(rule, weighs=weighs)
+
+
 # What would be decided.
 
 

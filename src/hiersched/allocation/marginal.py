@@ -51,6 +51,7 @@ class MarginalWords(NamedTuple):
     """
 
     utility: int  # LOG, LINEAR, LAGRANGIAN or CAPPED
+    weighs_drift: bool  # whether a policy weighs the drift of the Lagrangian, and nothing else
     cost: NDArray[np.float64]  # (U, K') of the assignment, FAR in the padding
     nearest: NDArray[np.int64]  # (U,) cheapest PRB
     user_of_prb: NDArray[np.int64]  # (K',)
@@ -75,9 +76,12 @@ class MarginalWords(NamedTuple):
     best: NDArray[np.int64]  # (K,) user to whom a free PRB is worth most
 
 
-def marginal_words(utility: int, num_users: int, num_prb: int) -> MarginalWords:
+def marginal_words(
+    utility: int, num_users: int, num_prb: int, *, weighs_drift: bool = False
+) -> MarginalWords:
     """Work arrays of a utility for U users and K PRBs.
 
+    With `weighs_drift`, for LAGRANGIAN only, the weights of a policy are factors of the drift.
     ValueError if there are more users than PRBs, or more PRBs than the assignment packs into its
     keys.
     """
@@ -89,6 +93,7 @@ def marginal_words(utility: int, num_users: int, num_prb: int) -> MarginalWords:
     lanes = -(-num_users // _USER_LANES) * _USER_LANES
     return MarginalWords(
         utility=utility,
+        weighs_drift=weighs_drift,
         cost=np.full((num_users, columns), FAR),
         nearest=np.zeros(num_users, np.int64),
         user_of_prb=np.zeros(columns, np.int64),
@@ -322,14 +327,16 @@ def allocate_by_utility(me: MarginalWords, constants: Any, state: Any, slot: Any
     LOG: w log R, PF when all w are equal. LINEAR: w R. LAGRANGIAN: minus w times the user's
     drift-plus-penalty Lagrangian, its drift times `state.drift_weight`. CAPPED: w min(R, need);
     PRBs that nobody needs go by PF, without weights. w is the weight of the policy times that of
-    the rule, and the product stays in `state.index_weight`.
+    the rule, and the product stays in `state.index_weight`; with `me.weighs_drift` w is that of the
+    rule, and the weight of the policy multiplies `state.drift_weight`.
     """
     rate, need = state.reported_rate_mbps[env], state.need_mbps[env]
     weight = state.index_weight[env]
     if me.utility == CAPPED:
         check_needs(need)
+    weighed = state.drift_weight[env] if me.weighs_drift else weight
     for user in range(rate.shape[0]):
-        weight[user] *= state.weight[env, user]
+        weighed[user] *= state.weight[env, user]
     check_weights(weight, 0.0)
     if me.utility == LAGRANGIAN:
         check_weights(state.drift_weight[env], 0.0)

@@ -48,6 +48,19 @@ def world_keys(purpose: str, seed: int, count: int) -> NDArray[np.uint64]:
     return np.array([world_key(purpose, seed, index) for index in range(count)], dtype=np.uint64)
 
 
+def train_worlds(
+    seed: int, first: int, count: int, per_round: int, worlds_per_round: int
+) -> NDArray[np.uint64]:
+    """Keys of the worlds of a training's episodes from `first` on, shape (count,).
+
+    A round has `per_round` episodes. They take turns in its `worlds_per_round` worlds, new ones in
+    every round; if these are as many, episode j has world j.
+    """
+    rounds, places = np.divmod(np.arange(first, first + count), per_round)
+    worlds = rounds * worlds_per_round + places % worlds_per_round
+    return np.array([world_key("train", seed, int(j)) for j in worlds], dtype=np.uint64)
+
+
 @njit(inline="always")
 def philox4x32(
     c0: np.uint32, c1: np.uint32, c2: np.uint32, c3: np.uint32, k0: np.uint32, k1: np.uint32

@@ -242,6 +242,7 @@ ALGORITHMS: Registry[Any] = Registry("learning.algorithm")
 """Learning algorithms: callables (scenario, generators) -> `learning.algorithm.Algorithm`.
 
 A class may have an attribute `Parameters`, a dataclass: what `learning.parameters` has to be."""
-BUILT_IN_ALGORITHMS = ("ddpg", "a2c")
+BUILT_IN_ALGORITHMS = ("ddpg", "a2c", "es")
 ALGORITHMS.add("ddpg", "hiersched.learning.ddpg:Ddpg")
 ALGORITHMS.add("a2c", "hiersched.learning.a2c:A2c")
+ALGORITHMS.add("es", "hiersched.learning.es:EvolutionStrategy")

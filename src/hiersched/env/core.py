@@ -7,9 +7,13 @@ from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
 from hiersched.core.randomness import world_key
+from hiersched.policies.features import LEAST_PACKETS, SPEED_FLOOR_M2PS2
 from hiersched.scenario.schema import Learning, Scenario
 from hiersched.simulator import Gains, Simulator, SlotRecord
 from hiersched.simulator.gain_source import scenario_gains
+
+_CONTROL_COST_S2PM2 = 16.0
+"""Of the control drift: 0.8 times the packets' drift for a robot that stands, 16.8 at 1 m/s."""
 
 
 def action_weights(actions: NDArray[np.floating], weight_exponent: float) -> NDArray[np.float64]:
@@ -26,6 +30,22 @@ def task_costs(record: SlotRecord, learning: Learning) -> NDArray[np.float64]:
     price: float = learning.task_weight * 100.0 / learning.reward_scale
     cost: NDArray[np.float64] = price * record.tracking_error_m[:, 0]
     return cost
+
+
+def control_weights(simulator: Simulator) -> NDArray[np.float64]:
+    """Return what the drift of each URLLC user costs its robot's control now, shape (E, R).
+
+    c = 16 s^2/m^2 (v_0^2 + v^2) (L / l)^2, v the speed of the newest set-point, l the packets that
+    the user has a slot and L their mean: with a queue of F packets the robot lags by F / l slots,
+    and a lag of D costs (v D)^2. The generalised c-mu rule has the same weight (Van Mieghem 1995;
+    Mandelbaum and Stolyar 2004), so an agent that pays for this drift is told the rule.
+    """
+    constants, speed_mps = simulator.constants, simulator.state.set_point_speed_mps
+    packets = np.maximum(constants.mean_due_packets[: constants.num_urllc], LEAST_PACKETS)
+    weights: NDArray[np.float64] = (
+        _CONTROL_COST_S2PM2 * (SPEED_FLOOR_M2PS2 + speed_mps**2) * (packets.mean() / packets) ** 2
+    )
+    return weights
 
 
 def agent_views(
@@ -75,7 +95,8 @@ class EpisodeWorlds:
 class SlotLoop:
     """Episodes of a fixed length in E worlds; an action is a number in [-1, 1] for every user.
 
-    Its weight multiplies the user's utility under the scheduler `learning.start`.
+    Its weight multiplies the user's utility under the scheduler `learning.start`, or its drift
+    (`learning.weighs`).
 
     Parameters
     ----------
@@ -92,6 +113,9 @@ class SlotLoop:
     ----------
     record
         The last slot, leading axes (E, 1); overwritten by the next one.
+    task_costs
+        What the task adds to the cost of each URLLC user's last slot, shape (E, R), on the scale of
+        the rewards: `learning.task_weight`, `learning.reward_terms`.
     multipliers
         Multiplier of each URLLC user's delay constraint, shape (E, R); seen by the agents and
         priced in the rewards.
@@ -111,6 +135,7 @@ class SlotLoop:
         self.simulator = Simulator(scenario, gains, keys, num_slots)
         self.record: SlotRecord = self.simulator.new_record(1)
         self.multipliers = np.zeros((len(keys), scenario.users.num_urllc))
+        self.task_costs = np.zeros_like(self.multipliers)
         self._learning = scenario.learning
 
     @property
@@ -125,8 +150,11 @@ class SlotLoop:
 
     def features(self) -> NDArray[np.float32]:
         """Features at the start of the coming slot, shape (E, U, F)."""
+        learning = self._learning
         return self.simulator.features(
-            self.multipliers, observe_robots=self._learning.observe_robots
+            self.multipliers,
+            observe_robots=learning.observe_robots,
+            observe_demand=learning.observe_demand,
         )
 
     def step(self, actions: NDArray[np.floating]) -> NDArray[np.float32]:
@@ -150,11 +178,22 @@ class SlotLoop:
         # One comparison that is false for NaN too.
         if not (np.abs(actions) <= 1.0).all():
             raise ValueError("actions: must lie in [-1, 1]")
+        learning = self._learning
+        control = None
+        if learning.reward_terms == "control_drift":  # of what is known when the slot begins
+            control = control_weights(self.simulator)
         self.simulator.run(
-            self._learning.start,
+            learning.start,
             1,
-            weights=action_weights(actions, self._learning.weight_exponent),
+            weights=action_weights(actions, learning.weight_exponent),
+            weighs=learning.weighs,
             multipliers=self.multipliers,
             record=self.record,
         )
+        self.task_costs = task_costs(self.record, learning)
+        if control is not None:
+            urllc = np.s_[:, : control.shape[1]]
+            after = self.simulator.state.backlog_packets[urllc]
+            drift = 0.5 * (after**2 - self.record.backlog_packets[:, 0][urllc] ** 2)
+            self.task_costs += (control - 1.0) * drift / learning.reward_scale
         return self.features()

@@ -36,11 +36,11 @@ class SlicingParallelEnv(ParallelEnv):
     ) -> None:
         self.possible_agents = list(AGENTS)
         self.agents: list[str] = []
-        self._scenario = scenario
         self._num_urllc = scenario.users.num_urllc
         self._cooperative = scenario.learning.reward == "cooperative"
         counts = {"urllc": scenario.users.num_urllc, "embb": scenario.users.num_embb}
-        width = 3 * num_features(scenario.learning.observe_robots)
+        learning = scenario.learning
+        width = 3 * num_features(learning.observe_robots, learning.observe_demand)
         self._observation_spaces = {
             agent: spaces.Box(-np.inf, np.inf, (count, width), np.float32)
             for agent, count in counts.items()
@@ -88,7 +88,7 @@ class SlicingParallelEnv(ParallelEnv):
                 shape = np.shape(actions[agent])
                 raise ValueError(f"actions of {agent}: shape {shape}, must be {space.shape}")
         features = self._loop.step(np.concatenate([actions[agent] for agent in AGENTS])[None])
-        info = {name: v[0] for name, v in slot_info(self._loop.record, self._scenario).items()}
+        info = {name: v[0] for name, v in slot_info(self._loop).items()}
         rewards = {agent: float(info[f"reward_{agent}"]) for agent in AGENTS}
         if self._cooperative:
             rewards = dict.fromkeys(AGENTS, 0.5 * sum(rewards.values()))

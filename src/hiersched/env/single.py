@@ -26,7 +26,6 @@ class SlicingEnv(gymnasium.Env):
         self, scenario: Scenario, gains: Gains | None = None, *, num_slots: int | None = None
     ) -> None:
         self.observation_space, self.action_space = user_spaces(scenario)
-        self._scenario = scenario
         self._worlds = EpisodeWorlds(1)
         self._loop = SlotLoop(scenario, gains, self._worlds.coming(), num_slots)
 
@@ -44,6 +43,6 @@ class SlicingEnv(gymnasium.Env):
         """Run one slot; the slot limit is truncation."""
         self._worlds.require_episode()
         features = self._loop.step(np.asarray(action)[None])
-        info = {name: v[0] for name, v in slot_info(self._loop.record, self._scenario).items()}
+        info = {name: v[0] for name, v in slot_info(self._loop).items()}
         reward = 0.5 * float(info["reward_urllc"] + info["reward_embb"])
         return features[0], reward, False, self._loop.finished, info

@@ -10,29 +10,29 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from hiersched.env.core import EpisodeWorlds, SlotLoop, task_costs
+from hiersched.env.core import EpisodeWorlds, SlotLoop
 from hiersched.policies.features import num_features
 from hiersched.scenario.schema import Scenario
-from hiersched.simulator import Gains, SlotRecord
+from hiersched.simulator import Gains
 
 
 def user_spaces(scenario: Scenario) -> tuple[spaces.Box, spaces.Box]:
     """Spaces of one world: features of every user, one number in [-1, 1] for each."""
-    width = num_features(scenario.learning.observe_robots)
+    learning = scenario.learning
+    width = num_features(learning.observe_robots, learning.observe_demand)
     return (
         spaces.Box(-np.inf, np.inf, (scenario.num_users, width), np.float32),
         spaces.Box(-1.0, 1.0, (scenario.num_users,), np.float32),
     )
 
 
-def slot_info(record: SlotRecord, scenario: Scenario) -> dict[str, NDArray[Any]]:
+def slot_info(loop: SlotLoop) -> dict[str, NDArray[Any]]:
     """Say what a slot cost, shape (E,) or (E, U) each; `cost` counts packets now late."""
-    num_urllc = scenario.users.num_urllc
-    task = task_costs(record, scenario.learning).mean(axis=1)
+    record, num_urllc = loop.record, loop.multipliers.shape[1]
     return {
         "cost": record.late_packets[:, 0, :num_urllc].sum(axis=-1).astype(np.float64),
         "due_packets": record.due_packets[:, 0, :num_urllc].sum(axis=-1).astype(np.float64),
-        "reward_urllc": record.reward_urllc[:, 0] - task,
+        "reward_urllc": record.reward_urllc[:, 0] - loop.task_costs.mean(axis=1),
         "reward_embb": record.reward_embb[:, 0].copy(),
         "prb_count": record.num_prb[:, 0].copy(),
     }
@@ -65,7 +65,6 @@ class SlicingVectorEnv(VectorEnv):
         self.single_observation_space, self.single_action_space = user_spaces(scenario)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._scenario = scenario
         self._worlds = EpisodeWorlds(num_envs)
         self._loop = SlotLoop(scenario, gains, self._worlds.coming(), num_slots)
 
@@ -93,7 +92,7 @@ class SlicingVectorEnv(VectorEnv):
         """Run one slot of all worlds."""
         self._worlds.require_episode()
         features = self._loop.step(actions)
-        info: dict[str, Any] = dict(slot_info(self._loop.record, self._scenario))
+        info: dict[str, Any] = dict(slot_info(self._loop))
         reward = 0.5 * (info["reward_urllc"] + info["reward_embb"])
         truncated = np.full(self.num_envs, self._loop.finished)
         if self._loop.finished:

@@ -131,7 +131,8 @@ def _needed(scenario: Scenario) -> Iterator[tuple[str, float]]:
 
 def _training_bytes(scenario: Scenario, learning: Learning) -> float:
     """Return what a training takes: episodes side by side, transitions, networks with Adam."""
-    features, users = num_features(learning.observe_robots), scenario.num_users
+    features = num_features(learning.observe_robots, learning.observe_demand)
+    users = scenario.num_users
     worlds = learning.num_envs + learning.checkpoint_worlds
     episodes = worlds * learning.slots_per_episode * slot_bytes(scenario)
     transitions = learning.replay_capacity * users * (4.0 * features + 12.0)

@@ -34,8 +34,7 @@ def compile_kernels() -> None:
     for network in NETWORKS:
         simulator.run(_Untrained(scenario, network), 1)
     none = np.zeros((1, scenario.users.num_urllc))
-    for observe_robots in (False, True):
-        simulator.features(none, observe_robots=observe_robots)
+    simulator.features(none)
     simulator.set_channel(simulator.state.fading_power.copy())
     forced = experiments(scenario)["gain_study"].points[0].delays
     assert forced is not None
@@ -53,12 +52,14 @@ class _Untrained(Weigher):
         """As in `Weigher`."""
         users = setup.scenario.users
         counts = {"num_urllc": users.num_urllc, "num_embb": users.num_embb}
-        sizes = layer_sizes(self._network, (1,), num_features(False), **counts)
+        hidden = () if self._network == "linear" else (1,)
+        sizes = layer_sizes(self._network, hidden, num_features(False, False), **counts)
         return network_words(
             np.zeros((2, num_parameters(sizes)), np.float32),
             self._network,
-            (1,),
+            hidden,
             observe_robots=False,
+            observe_demand=False,
             weight_exponent=1.0,
             **counts,
         )

@@ -29,6 +29,10 @@ def runnable(policy: TrainedPolicy, weights: bytes, scenario: Scenario) -> Runna
     """Take a trained policy to a scenario's users, with what its logs carry."""
     return RunnablePolicy(
         policy=policy.for_users(scenario.users.num_urllc, scenario.users.num_embb),
-        metadata={"policy_seed": str(policy.seed), "start": policy.rule},
+        metadata={
+            "policy_seed": str(policy.seed),
+            "start": policy.rule,
+            "weighs": policy.weighs,
+        },
         attachments={f"policy_seed{policy.seed}.json": weights},
     )

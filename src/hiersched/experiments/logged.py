@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hiersched.control import GainSchedule
 from hiersched.core.fields import FIELDS
-from hiersched.core.randomness import world_key, world_keys
+from hiersched.core.randomness import train_worlds, world_key, world_keys
 from hiersched.experiments.logging import logged_fields
 from hiersched.experiments.points import ForcedDelays
 from hiersched.log import LogError, LogReader
@@ -154,7 +154,9 @@ def _worlds(metadata: dict[str, str], num_slots: int) -> tuple[NDArray[np.uint64
         raise ValueError(f"slots_per_episode = {episode_slots}: must be 1 or more")
     episodes = -(-num_slots // episode_slots)
     if stage == "train":
-        return world_keys(stage, seed, episodes), episode_slots
+        per_round = metadata.get("episodes_per_round", "1")
+        worlds = int(metadata.get("worlds_per_round", per_round))  # one an episode before
+        return train_worlds(seed, 0, episodes, int(per_round), worlds), episode_slots
     # The fixed worlds, the same for all seeds and once more at every checkpoint.
     fixed = world_keys(stage, 0, int(metadata["episodes_per_round"]))
     return np.resize(fixed, episodes), episode_slots

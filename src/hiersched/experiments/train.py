@@ -21,7 +21,7 @@ from hiersched.learning.checkpoint import load_checkpoint
 from hiersched.learning.trainer import train
 from hiersched.log import LogReader, LogWriter
 from hiersched.scenario import Scenario, scenario_sha256
-from hiersched.scenario.schema import checkpoint_rounds
+from hiersched.scenario.schema import checkpoint_rounds, worlds_per_round
 
 
 @dataclass
@@ -86,6 +86,8 @@ class RoundLogs:
         attachments: Mapping[str, bytes] | None = None,
     ) -> LogWriter:
         learning = self.scenario.learning
+        if self.stage == "train":
+            metadata = {"worlds_per_round": str(worlds_per_round(learning)), **metadata}
         return open_log(
             path,
             self.scenario,
@@ -97,6 +99,7 @@ class RoundLogs:
                 "episodes": str(self.num_envs * self.num_rounds),
                 "episodes_per_round": str(self.num_envs),
                 "start": learning.start,
+                "weighs": learning.weighs,
                 **metadata,
             },
             attachments=attachments,

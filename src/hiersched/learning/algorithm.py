@@ -13,22 +13,24 @@ from torch import Tensor
 from hiersched.learning.networks import initial_stack, learner_network
 from hiersched.learning.stack import StackedAdam
 from hiersched.scenario.schema import Scenario
+from hiersched.simulator import SlotRecord
 
 
 class Outcome(NamedTuple):
-    """What a slot brought, leading axes (seeds, E)."""
+    """What a slot brought, leading axes (seeds, E); `record` is overwritten by the next slot."""
 
     prb_count: NDArray[np.uint32]  # (U,) executed
     base_reward: NDArray[np.float64]  # (U,) of each user, without the constraint
     constraint: NDArray[np.float64]  # (R,) y of each URLLC user
     next_features: NDArray[np.float32]  # (U, F) at the start of the next slot
+    record: SlotRecord  # leading axes (seeds * E, 1)
 
 
 @dataclass
 class Losses:
-    """Losses of an update, shape (seeds, 2) each; the actors' is None while they wait."""
+    """Losses of an update, shape (seeds, 2) each; None of actors that wait, without critics."""
 
-    critic: Tensor
+    critic: Tensor | None
     actor: Tensor | None
 
 
@@ -112,7 +114,7 @@ class ActorCritic(Algorithm):
 
     def _raw_actions(self, actor: Tensor, inputs: Tensor) -> Tensor:
         """Return the outputs of the actors before tanh, shape (seeds, B, U)."""
-        outputs = self.network.actor.forward(actor, inputs)
+        outputs = self.network.actor_outputs(actor, inputs)
         return self.network.raw_actions(outputs, len(self._learning.seeds))
 
     def _means(self, parts: Tensor) -> Tensor:

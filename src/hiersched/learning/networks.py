@@ -59,6 +59,8 @@ class Slices:
 class Network(ABC):
     """How features become the inputs of both agents' networks, and outputs actions and values.
 
+    The actors' inputs are the first ones of the critics'.
+
     An agent values m numbers: those of every user of its slice, or its slice's mean.
     """
 
@@ -70,14 +72,23 @@ class Network(ABC):
 
     @property
     def actor(self) -> Layers:
-        """Sizes of the actors; critics of states alone see the same."""
+        """Sizes of the actors."""
         users = self.slices.num_urllc, self.slices.num_embb
         return Layers(layer_sizes(self.kind, self.hidden, self.num_features, *users))
 
     def critic(self, *, sees_counts: bool) -> Layers:
         """Sizes of the critics of states, or of states and what was executed."""
         more = self.num_counts if sees_counts else 0
-        return Layers((self.actor.sizes[0] + more, *self.hidden, 1))
+        return Layers((self.num_inputs + more, *self.hidden, 1))
+
+    @property
+    def num_inputs(self) -> int:
+        """Width of the `inputs`."""
+        return self.actor.sizes[0]
+
+    def actor_outputs(self, actors: Tensor, inputs: Tensor) -> Tensor:
+        """Evaluate actors (S, P) on inputs (S, N, …), some of which may be for critics alone."""
+        return self.actor.forward(actors, inputs[..., : self.actor.sizes[0]])
 
     def raw_actions(self, outputs: Tensor, num_seeds: int) -> Tensor:
         """Order the outputs of the actors before tanh by user, shape (seeds, B, U)."""
@@ -126,7 +137,7 @@ class SharedNetwork(Network):
         own_mean = means.unsqueeze(3).expand_as(rows)
         other_mean = means.flip(2).unsqueeze(3).expand_as(rows)
         inputs = torch.cat((rows, own_mean, other_mean), dim=-1).transpose(1, 2)
-        return inputs.reshape(NUM_AGENTS * features.shape[0], -1, 3 * self.num_features)
+        return inputs.reshape(NUM_AGENTS * features.shape[0], -1, 3 * features.shape[-1])
 
     def count_inputs(self, prb_count: Tensor) -> Tensor:
         """As in `Network`."""
@@ -140,6 +151,22 @@ class SharedNetwork(Network):
     def value_shares(self) -> Tensor:
         """As in `Network`."""
         return self.slices.shares()
+
+
+class LinearNetwork(SharedNetwork):
+    """One sum over a user's own features, with the critics of a shared network."""
+
+    kind = "linear"
+
+    @property
+    def actor(self) -> Layers:
+        """As in `Network`."""
+        return Layers(layer_sizes(self.kind, (), self.num_features, 1, 1))
+
+    @property
+    def num_inputs(self) -> int:
+        """As in `Network`."""
+        return 3 * self.num_features
 
 
 class FlatNetwork(Network):
@@ -170,14 +197,16 @@ class FlatNetwork(Network):
         return torch.ones(NUM_AGENTS, 1)
 
 
-NETWORKS: dict[str, type[Network]] = {kind.kind: kind for kind in (SharedNetwork, FlatNetwork)}
+NETWORKS: dict[str, type[Network]] = {
+    kind.kind: kind for kind in (SharedNetwork, FlatNetwork, LinearNetwork)
+}
 
 
 def learner_network(learning: Learning, users: Users) -> Network:
     """Make the network of a learner's section `learning` for so many users."""
     return NETWORKS[learning.network](
         Slices(users.num_urllc, users.num_embb),
-        num_features(learning.observe_robots),
+        num_features(learning.observe_robots, learning.observe_demand),
         learning.hidden,
     )
 

@@ -61,7 +61,7 @@ class RoundSums:
 
     def columns(self) -> dict[str, NDArray[np.float64]]:
         """Columns of the progress file, shape (seeds,) each; a loss without updates is NaN."""
-        critics = [losses.critic.numpy() for losses in self._losses]
+        critics = [losses.critic.numpy() for losses in self._losses if losses.critic is not None]
         actors = [losses.actor.numpy() for losses in self._losses if losses.actor is not None]
         none = np.full((len(self._constraint), 2), np.nan)
         critic, actor = (np.mean(some, axis=0) if some else none for some in (critics, actors))

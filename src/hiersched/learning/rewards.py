@@ -7,27 +7,29 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hiersched.env.core import task_costs
 from hiersched.policies.features import MULTIPLIER, multiplier_feature
 from hiersched.scenario.schema import Scenario
 from hiersched.simulator import SlotRecord
 
 
 def user_rewards(
-    one: SlotRecord, after: NDArray[np.float64], scenario: Scenario
+    one: SlotRecord,
+    after: NDArray[np.float64],
+    task_costs: NDArray[np.float64],
+    scenario: Scenario,
 ) -> NDArray[np.float64]:
     """Share a slice's reward among its users: -(drift + V penalty) / scale, shape (E, U).
 
     Their mean over a slice's users is the reward in the record, leading axes (E, 1), up to the
-    priced constraint and the price of the robots' tracking error, which each URLLC user pays for
-    its own robot. `after` is the backlog after the slot, shape (E, U), packets.
+    priced constraint and the `task_costs` (E, R), which each URLLC user pays for its own robot
+    (`env.SlotLoop`). `after` is the backlog after the slot, shape (E, U), packets.
     """
     objective = scenario.objective
     drift = 0.5 * (after**2 - one.backlog_packets[:, 0] ** 2)
     penalty = 1.0 / (one.rate_mbps[:, 0] ** 2 + objective.epsilon)
     penalised = drift + objective.penalty_weight * penalty
     reward: NDArray[np.float64] = -penalised / scenario.learning.reward_scale
-    reward[:, : scenario.users.num_urllc] -= task_costs(one, scenario.learning)
+    reward[:, : scenario.users.num_urllc] -= task_costs
     return reward
 
 

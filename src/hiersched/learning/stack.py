@@ -58,6 +58,8 @@ class _Perceptrons(torch.autograd.Function):
             hidden.append(torch.baddbmm(bias, hidden[-1], weight).relu_())
         ctx.layers = layers
         ctx.save_for_backward(parameters, *hidden)
+        if len(views) == 1:
+            return _affine(inputs, *views[0])
         return _last_layer(hidden[-1], *views[-1])
 
     @staticmethod
@@ -80,6 +82,15 @@ class _Perceptrons(torch.autograd.Function):
             if place:
                 gradient = torch.ops.aten.threshold_backward(gradient, seen, 0.0)
         return wanted, gradient, None
+
+
+def _affine(inputs: Tensor, bias: Tensor, weight: Tensor) -> Tensor:
+    """Affine, as a sum of doubles in the order of the inputs: the bits of `policies.learned`."""
+    outputs = bias.double().expand(len(inputs), inputs.shape[1], -1)
+    for place in range(inputs.shape[2]):
+        value = inputs[:, :, place : place + 1].double()
+        outputs = outputs + value * weight[:, place : place + 1].double()
+    return outputs.float()
 
 
 def _last_layer(hidden: Tensor, bias: Tensor, weight: Tensor) -> Tensor:

@@ -13,10 +13,10 @@ import torch
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from hiersched.core.randomness import world_key, world_keys
+from hiersched.core.randomness import train_worlds, world_key, world_keys
 from hiersched.core.registry import ALGORITHMS
 from hiersched.env.core import SlotLoop
-from hiersched.learning import a2c, ddpg  # noqa: F401  # so that their code counts as ours
+from hiersched.learning import a2c, ddpg, es  # noqa: F401  # so that their code counts as ours
 from hiersched.learning.algorithm import Algorithm, Outcome
 from hiersched.learning.checkpoint import load_checkpoint, save_checkpoint
 from hiersched.learning.multiplier import Multiplier, episode_constraint, step_multiplier
@@ -24,7 +24,7 @@ from hiersched.learning.progress import RoundSums, write_progress
 from hiersched.learning.rewards import user_rewards
 from hiersched.policies.trained import TrainedPolicy
 from hiersched.scenario import Scenario, scenario_sha256
-from hiersched.scenario.schema import checkpoint_rounds
+from hiersched.scenario.schema import checkpoint_rounds, worlds_per_round
 from hiersched.simulator import Gains, SlotRecord
 
 CHECKPOINT = "checkpoint"
@@ -39,9 +39,9 @@ OnSlot = Callable[[SlotRecord, int], None]
 class Trainer:
     """Everything that training changes; `train` runs it.
 
-    A round is one episode in every environment of every seed. Worlds of episode j of seed s:
-    ``world_key("train", s, j)``. All random numbers of a seed come from its own generators, so a
-    seed learns the same whichever others are trained beside it, up to rounding.
+    A round is one episode in every environment of every seed; `train_worlds` says in which worlds.
+    All random numbers of a seed come from its own generators, so a seed learns the same whichever
+    others are trained beside it, up to rounding.
     """
 
     def __init__(self, scenario: Scenario, gains: Gains) -> None:
@@ -68,10 +68,11 @@ class Trainer:
 
     def _worlds(self) -> NDArray[np.uint64]:
         learning = self.scenario.learning
-        first = self.round * learning.num_envs
-        episodes = range(first, first + learning.num_envs)
-        keys = [world_key("train", seed, j) for seed in learning.seeds for j in episodes]
-        return np.array(keys, dtype=np.uint64)
+        first, count = self.round * learning.num_envs, learning.num_envs
+        layout = count, worlds_per_round(learning)
+        return np.concatenate(
+            [train_worlds(seed, first, count, *layout) for seed in learning.seeds]
+        )
 
     def _by_seed(self, values: NDArray[Any]) -> NDArray[Any]:
         return values.reshape(self.num_seeds, -1, *values.shape[1:])
@@ -126,9 +127,12 @@ class Trainer:
         one, after = self.loop.record, self.loop.simulator.state.backlog_packets
         return Outcome(
             prb_count=self._by_seed(one.num_prb[:, 0]),
-            base_reward=self._by_seed(user_rewards(one, after, self.scenario)),
+            base_reward=self._by_seed(
+                user_rewards(one, after, self.loop.task_costs, self.scenario)
+            ),
             constraint=self._by_seed(one.constraint[:, 0]).copy(),
             next_features=following,
+            record=one,
         )
 
     def policies(self) -> tuple[TrainedPolicy, ...]:
@@ -141,8 +145,10 @@ class Trainer:
                 parameters=actors[index].copy(),
                 network=learning.network,
                 rule=learning.start,
+                weighs=learning.weighs,
                 observe_robots=learning.observe_robots,
-                hidden=learning.hidden,
+                observe_demand=learning.observe_demand,
+                hidden=() if learning.network == "linear" else learning.hidden,
                 weight_exponent=learning.weight_exponent,
                 num_embb=self.scenario.users.num_embb,
                 multipliers=self.multiplier.value[index].copy(),

@@ -37,17 +37,35 @@ ROBOT_FEATURES = (
 )
 """Further features of a URLLC user where robots are observed (0 for eMBB users)."""
 
+DEMAND_FEATURES = (
+    "log_set_point_speed",  # ln(1 + v^2 / (0.05 m^2/s^2)), v the speed of the newest set-point
+    "log_set_point_gap",  # ln(1 + distance of the newest and the held set-point in cm)
+    "log_set_point_acceleration",  # ln(1 + acceleration of the newest set-point in m/s^2)
+    "log_set_point_age",  # ln(1 + age of the held set-point / deadline)
+    "log_reported_error",  # ln(1 + position error as last reported in cm)
+    "log_rarity",  # ln of the slice's mean packets a slot over the user's own
+)
+"""Further features of a URLLC user where the demand of its robot's task is observed.
+
+They follow those of the robots and are 0 for eMBB users. The logarithm of a control cost
+(v_0^2 + v^2) / packets^2 is linear in them.
+"""
+SPEED_FLOOR_M2PS2 = 0.05
+"""v_0^2 of v_0^2 + v^2, which a robot at speed v asks for: one that stands asks for something."""
 MULTIPLIER = FEATURES.index("log_multiplier")
 NEED_SCALE = 4.0
 _NUM_FEATURES = len(FEATURES)
 _REFERENCE_RATE_MBPS = 10.0
 _LEAST_RATE_MBPS = 1e-9
 """Taken for a mean rate below it: features stay finite where the report says no rate at all."""
+LEAST_PACKETS = 1e-3
+"""Packets a slot, taken for fewer where a user's are compared with the slice's."""
 
 
-def num_features(observe_robots: bool) -> int:
+def num_features(observe_robots: bool, observe_demand: bool) -> int:
     """Features of one user."""
-    return _NUM_FEATURES + (len(ROBOT_FEATURES) if observe_robots else 0)
+    robots = len(ROBOT_FEATURES) if observe_robots else 0
+    return _NUM_FEATURES + robots + (len(DEMAND_FEATURES) if observe_demand else 0)
 
 
 def multiplier_feature(multipliers: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -64,20 +82,27 @@ def _multiplier_features(multipliers: Any, features: Any) -> None:
 
 
 @kernel()
-def observe_worlds(constants: Any, state: Any, observe_robots: bool, features: Any) -> None:
+def observe_worlds(
+    constants: Any, state: Any, observe_robots: bool, observe_demand: bool, features: Any
+) -> None:
     """Fill the features of every user of every world at the start of the coming slot.
 
     `constants` and `state` are pointers to those of a simulator, read only. `features` has shape
-    (E, U, num_features(observe_robots)), float32, URLLC users first. Slice means are not among
-    them: the networks form them.
+    (E, U, num_features(observe_robots, observe_demand)), float32, URLLC users first. Slice means
+    are not among them: the networks form them.
     """
     for env in range(features.shape[0]):
-        observe_world(constants, state, env, observe_robots, features[env])
+        observe_world(constants, state, env, observe_robots, observe_demand, features[env])
 
 
 @inner_kernel()
 def observe_world(
-    constants: Any, state: Any, env: int, observe_robots: bool, features: Any
+    constants: Any,
+    state: Any,
+    env: int,
+    observe_robots: bool,
+    observe_demand: bool,
+    features: Any,
 ) -> None:
     """Fill the features (U, F) of one world, as `observe_worlds` does."""
     for user in range(features.shape[0]):
@@ -99,6 +124,9 @@ def observe_world(
         features[robot, MULTIPLIER] = F32(log1p_f64(state.multiplier[env, robot]))
     if observe_robots:
         _observe_robots(constants, state, env, features)
+    if observe_demand:
+        first = features.shape[1] - len(DEMAND_FEATURES)
+        _observe_demand(constants, state, env, features[:, first:])
 
 
 @inner_kernel()
@@ -115,6 +143,24 @@ def _observe_robots(constants: Any, state: Any, env: int, features: Any) -> None
         row[_NUM_FEATURES] = F32(log1p_f64(100.0 * distance_m))
         row[_NUM_FEATURES + 1] = F32(min(steps, largest) / largest)
         row[_NUM_FEATURES + 2] = F32(np.float64(state.gain_delay_steps[env, robot]) / largest)
+
+
+@inner_kernel()
+def _observe_demand(constants: Any, state: Any, env: int, features: Any) -> None:
+    """Fill DEMAND_FEATURES, shape (U, 6), of the URLLC users."""
+    num_urllc, mean_packets = constants.num_urllc, 0.0
+    for robot in range(num_urllc):
+        mean_packets += max(constants.mean_due_packets[robot], LEAST_PACKETS) / num_urllc
+    for robot in range(num_urllc):
+        row, speed_mps = features[robot], state.set_point_speed_mps[env, robot]
+        age_s = state.set_point_age_s[env, robot]
+        packets = max(constants.mean_due_packets[robot], LEAST_PACKETS)
+        row[0] = F32(log1p_f64(speed_mps * speed_mps / SPEED_FLOOR_M2PS2))
+        row[1] = F32(log1p_f64(100.0 * state.set_point_gap_m[env, robot]))
+        row[2] = F32(log1p_f64(state.set_point_acceleration_mps2[env, robot]))
+        row[3] = F32(log1p_f64(age_s / constants.deadline_s[robot]))
+        row[4] = F32(log1p_f64(100.0 * state.reported_error_m[env, robot]))
+        row[5] = F32(ln_f64(mean_packets / packets))
 
 
 @njit(inline="always")

@@ -25,8 +25,9 @@ from hiersched.core.numerics import F32, copy, exp_f64, fma
 from hiersched.policies.features import num_features, observe_world
 from hiersched.policies.seams import WEIGH
 
-NETWORKS = ("shared", "mlp")
-"""Networks that have a kernel: small ones applied to every user, or flat ones over all users."""
+NETWORKS = ("shared", "mlp", "linear")
+"""Networks that have a kernel: small ones applied to every user, flat ones over all users, or one
+sum over a user's features."""
 _NUM_AGENTS = 2
 _LINE = 16
 """Floats of a cache line."""
@@ -40,6 +41,7 @@ class SharedWords(NamedTuple):
     """
 
     observe_robots: bool
+    observe_demand: bool
     weight_exponent: float  # c of w = exp(c a)
     first_user: NDArray[np.int64]  # (3,) 0, users of slice 0, users of both
     sizes: NDArray[np.int64]  # (L,) H_1 ... H_L
@@ -59,6 +61,7 @@ class FlatWords(NamedTuple):
     """
 
     observe_robots: bool
+    observe_demand: bool
     weight_exponent: float  # c of w = exp(c a)
     first_user: NDArray[np.int64]  # (3,) 0, users of slice 0, users of both
     sizes: NDArray[np.int64]  # (L,) H_1 ... H_L
@@ -70,36 +73,55 @@ class FlatWords(NamedTuple):
     outputs: NDArray[np.float32]  # (n,) work array
 
 
+class LinearWords(NamedTuple):
+    """Two affine functions (agent 0 = URLLC, 1 = eMBB), each of the features of one user."""
+
+    observe_robots: bool
+    observe_demand: bool
+    weight_exponent: float  # c of w = exp(c a)
+    first_user: NDArray[np.int64]  # (3,) 0, users of slice 0, users of both
+    bias: NDArray[np.float32]  # (2,)
+    weight: NDArray[np.float32]  # (2, F)
+    features: NDArray[np.float32]  # (U, F) work array
+
+
 def network_words(
     parameters: NDArray[np.float32],
     network: str,
     hidden: tuple[int, ...],
     *,
     observe_robots: bool,
+    observe_demand: bool,
     weight_exponent: float,
     num_urllc: int,
     num_embb: int,
-) -> SharedWords | FlatWords:
+) -> SharedWords | FlatWords | LinearWords:
     """Lay out a trained policy for its kernel, and check its shape (ValueError).
 
     `parameters` of both actors, shape (2, P), float32, are layer after layer biases, then weights
-    (inputs, outputs). `network` is ``shared`` or ``mlp``, `hidden` the outputs of the hidden
-    layers, one at least. `observe_robots` says whether the features of the robots are observed;
+    (inputs, outputs). `network` is one of `NETWORKS`, `hidden` the outputs of the hidden layers, of
+    which ``linear`` has none and the others one at least. `observe_robots` and `observe_demand` say
+    whether the features of the robots and of what their tasks ask for are observed;
     `weight_exponent` is c of w = exp(c a). An ``mlp`` runs on the numbers of users that it was
     trained on.
     """
-    num_users, count = num_urllc + num_embb, num_features(observe_robots)
+    num_users, count = num_urllc + num_embb, num_features(observe_robots, observe_demand)
     sizes = layer_sizes(network, hidden, count, num_urllc, num_embb)
     outputs = sizes[-1]
     biases, weights = _layers(parameters, sizes)
     fields: dict[str, Any] = {
         "observe_robots": observe_robots,
+        "observe_demand": observe_demand,
         "weight_exponent": float(weight_exponent),
         "first_user": np.array([0, num_urllc, num_users]),
+        "features": np.zeros((num_users, count), np.float32),
+    }
+    if network == "linear":
+        return LinearWords(**fields, bias=biases[0][:, 0].copy(), weight=weights[0][:, :, 0].copy())
+    fields |= {
         "sizes": np.array(hidden),
         "table": _table(biases[:-1], weights[:-1]),
         "output_bias": biases[-1],
-        "features": np.zeros((num_users, count), np.float32),
         "hidden": _aligned((len(hidden), max(hidden))),
     }
     if network == "mlp":
@@ -121,10 +143,15 @@ def layer_sizes(
 ) -> tuple[int, ...]:
     """Return the inputs, the outputs of the hidden layers, and the outputs.
 
-    ValueError if there is no such network.
+    ValueError if there is no such network, or none of so many hidden layers.
     """
     if network not in NETWORKS:
         raise ValueError(f"network = {network!r}: must be one of {', '.join(NETWORKS)}")
+    if (network == "linear") != (len(hidden) == 0):
+        wanted = "no layer" if network == "linear" else "one layer or more"
+        raise ValueError(f"hidden = {list(hidden)}: must be {wanted} with network = {network!r}")
+    if network == "linear":
+        return num_features, 1
     if network == "shared":
         return 3 * num_features, *hidden, 1
     return (num_urllc + num_embb) * num_features, *hidden, max(num_urllc, num_embb)
@@ -184,7 +211,7 @@ def _aligned(shape: tuple[int, ...]) -> NDArray[np.float32]:
 @WEIGH.kernel(SharedWords)
 def weigh_shared(me: Any, constants: Any, state: Any, slot: Any, env: int) -> None:
     """Weigh every user by its slice's network."""
-    observe_world(constants, state, env, me.observe_robots, me.features)
+    observe_world(constants, state, env, me.observe_robots, me.observe_demand, me.features)
     for agent in range(_NUM_AGENTS):
         users = me.features[me.first_user[agent] : me.first_user[agent + 1]]
         _mean_user(users, me.mean[agent])
@@ -195,7 +222,7 @@ def weigh_shared(me: Any, constants: Any, state: Any, slot: Any, env: int) -> No
 @WEIGH.kernel(FlatWords)
 def weigh_flat(me: Any, constants: Any, state: Any, slot: Any, env: int) -> None:
     """Weigh the users of each slice by its network, which sees all users."""
-    observe_world(constants, state, env, me.observe_robots, me.features)
+    observe_world(constants, state, env, me.observe_robots, me.observe_demand, me.features)
     num_users, num_features = me.features.shape
     first, last = me.hidden[0, : me.sizes[0]], me.hidden[-1, : me.sizes[-1]]
     for agent in range(_NUM_AGENTS):
@@ -209,6 +236,23 @@ def weigh_flat(me: Any, constants: Any, state: Any, slot: Any, env: int) -> None
         begin = me.first_user[agent]
         for user in range(begin, me.first_user[agent + 1]):
             state.weight[env, user] = _weight(me.outputs[user - begin], me.weight_exponent)
+
+
+@WEIGH.kernel(LinearWords)
+def weigh_linear(me: Any, constants: Any, state: Any, slot: Any, env: int) -> None:
+    """Weigh every user by its slice's sum over its features.
+
+    The sum is one of doubles in the order of the features: products of float32 are exact there, so
+    training forms the same bits.
+    """
+    observe_world(constants, state, env, me.observe_robots, me.observe_demand, me.features)
+    for agent in range(_NUM_AGENTS):
+        for user in range(me.first_user[agent], me.first_user[agent + 1]):
+            total = np.float64(me.bias[agent])
+            for feature in range(me.features.shape[1]):
+                value = np.float64(me.features[user, feature])
+                total = fma(value, np.float64(me.weight[agent, feature]), total)
+            state.weight[env, user] = _weight(F32(total), me.weight_exponent)
 
 
 @inner_kernel()

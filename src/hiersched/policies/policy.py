@@ -46,10 +46,11 @@ class View(NamedTuple):
 
 
 class Weights(NamedTuple):
-    """Factors of the utilities of a rule, positive, shape (E, U)."""
+    """Factors of the utilities of a rule, or of its drift, positive, shape (E, U)."""
 
     values: NDArray[np.float64]
     rule: str = "pf"
+    weighs: str = "utility"  # or ``drift``, which drift-plus-penalty has
 
 
 class Owners(NamedTuple):
@@ -71,6 +72,7 @@ class Weigher:
     """A compiled policy that weighs the users of a base rule, by a kernel of the seam WEIGH."""
 
     rule: str  # name of the base rule
+    weighs: str = "utility"  # what of it the weights are factors of
     multipliers: NDArray[np.float64]  # (R,) of each URLLC user's delay constraint, while it runs
 
     def words(self, setup: Setup) -> Any:
@@ -101,15 +103,15 @@ class FunctionPolicy:
 
 
 class LoggedWeights:
-    """The weights of a log, slot by slot: factors of a rule's utilities, shape (E, T, U)."""
+    """The weights of a log, slot by slot, shape (E, T, U), of a rule (`Weights`)."""
 
-    def __init__(self, values: NDArray[np.float64], rule: str) -> None:
-        self._values, self._rule, self._slot = values, rule, 0
+    def __init__(self, values: NDArray[np.float64], rule: str, weighs: str = "utility") -> None:
+        self._values, self._rule, self._weighs, self._slot = values, rule, weighs, 0
 
     def decide(self, view: View) -> Weights:
         """As in `Policy`."""
         self._slot += 1
-        return Weights(self._values[:, self._slot - 1], self._rule)
+        return Weights(self._values[:, self._slot - 1], self._rule, self._weighs)
 
 
 class LoggedDecisions(NamedTuple):

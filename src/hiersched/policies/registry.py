@@ -76,9 +76,11 @@ ALLOCATIONS: dict[str, Callable[[int, int], Any]] = {
     "log": partial(marginal_words, LOG),
     "linear": partial(marginal_words, LINEAR),
     "lagrangian": partial(marginal_words, LAGRANGIAN),
+    "weighed_drift": partial(marginal_words, LAGRANGIAN, weighs_drift=True),
     "capped": partial(marginal_words, CAPPED),
     "by_urgency": urgency_words,
     "in_turn": lambda num_users, num_prb: TurnWords(),
 }
 """Words of the allocations for U users and K PRBs: sum of w log r, w r, minus w times the
-Lagrangian, w min(r, need); users in the order of falling weight; round robin."""
+Lagrangian, minus the Lagrangian with a policy's weights on its drift alone, w min(r, need); users
+in the order of falling weight; round robin."""

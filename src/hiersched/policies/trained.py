@@ -20,6 +20,7 @@ from hiersched.models.model import Setup
 from hiersched.policies.features import FEATURE_VERSION, FEATURES, num_features
 from hiersched.policies.learned import (
     FlatWords,
+    LinearWords,
     SharedWords,
     layer_sizes,
     network_words,
@@ -27,7 +28,10 @@ from hiersched.policies.learned import (
 )
 from hiersched.policies.policy import Weigher
 
-FORMAT = "hiersched policy 3"
+FORMAT = "hiersched policy 4"
+_FORMAT_3 = "hiersched policy 3"
+_SINCE_FORMAT_4 = {"observe_demand": False, "weighs": "utility"}
+"""What format 3 does not say, and what its policies do."""
 _FLOAT32 = np.dtype("<f4")
 _Users = Annotated[int, Field(ge=1, le=10_000)]
 
@@ -41,12 +45,12 @@ class _Content:
     """What a policy file holds besides its format; `parameters` are bytes in base 64."""
 
     feature_version: int
-    network: Literal["shared", "mlp"]
-    hidden: Annotated[
-        tuple[Annotated[int, Field(ge=1, le=10_000)], ...], Field(min_length=1, max_length=20)
-    ]
+    network: Literal["shared", "mlp", "linear"]
+    hidden: Annotated[tuple[Annotated[int, Field(ge=1, le=10_000)], ...], Field(max_length=20)]
     rule: Literal["pf", "max_weight", "drift_plus_penalty"]
+    weighs: Literal["utility", "drift"]
     observe_robots: bool
+    observe_demand: bool
     weight_exponent: Annotated[float, Field(gt=0, le=20)]
     num_embb: _Users
     multipliers: Annotated[tuple[NonNegative, ...], NonEmpty]
@@ -60,10 +64,12 @@ class TrainedPolicy(Weigher):
     """Both actors of one seed after training; runs as a kernel, without noise."""
 
     parameters: NDArray[np.float32]  # (2, P) of the URLLC and the eMBB actor
-    network: str  # ``shared`` or ``mlp``
+    network: str  # ``shared``, ``mlp`` or ``linear``
     hidden: tuple[int, ...]  # its hidden layers
-    rule: str  # the scheduler whose utilities the weights multiply
+    rule: str  # the scheduler whose utilities, or drift, the weights multiply
+    weighs: str  # ``utility`` or ``drift``: which of them
     observe_robots: bool  # whether the features of the robots are observed
+    observe_demand: bool  # whether those of their tasks' demand are
     weight_exponent: float  # c of w = exp(c a)
     num_embb: int  # eMBB users in training; an ``mlp`` runs on no other number
     # (R,) of each URLLC user when training ended: what the policy observes from now on.
@@ -71,7 +77,7 @@ class TrainedPolicy(Weigher):
     seed: int
     scenario_sha256: str
 
-    def words(self, setup: Setup) -> SharedWords | FlatWords:
+    def words(self, setup: Setup) -> SharedWords | FlatWords | LinearWords:
         """As in `Weigher`; ValueError if the policy is for other numbers of users."""
         users = setup.scenario.users
         mine, theirs = (len(self.multipliers), self.num_embb), (users.num_urllc, users.num_embb)
@@ -85,6 +91,7 @@ class TrainedPolicy(Weigher):
             self.network,
             self.hidden,
             observe_robots=self.observe_robots,
+            observe_demand=self.observe_demand,
             weight_exponent=self.weight_exponent,
             num_urllc=users.num_urllc,
             num_embb=users.num_embb,
@@ -113,8 +120,11 @@ class TrainedPolicy(Weigher):
         """
         try:
             document = unseal_json(data)
-            if document.pop("format", None) != FORMAT:
-                raise SealError(f"its format is another than {FORMAT!r}")
+            found = document.pop("format", None)
+            if found not in (_FORMAT_3, FORMAT):
+                raise SealError(f"its format is another than {FORMAT!r} or {_FORMAT_3!r}")
+            if found == _FORMAT_3:
+                document = _SINCE_FORMAT_4 | document
             content = read_strictly(_Content, document)
             if content.feature_version != FEATURE_VERSION:
                 raise SealError(
@@ -125,6 +135,8 @@ class TrainedPolicy(Weigher):
                 base64.b64decode(content.parameters, validate=True), _FLOAT32
             )
             actors = _actors(parameters, content)
+            if content.weighs == "drift" and content.rule != "drift_plus_penalty":
+                raise SealError(f"weighs = 'drift': must be 'utility' with rule = {content.rule!r}")
         except ValidationError as error:
             first = error.errors()[0]
             place = ".".join(map(str, first["loc"]))
@@ -146,7 +158,7 @@ class TrainedPolicy(Weigher):
         if self.network == "mlp":
             raise ValueError(
                 f"{num_urllc} URLLC and {num_embb} eMBB users: must be {mine[0]} and {mine[1]}, on "
-                "which this mlp policy was trained (a shared one runs on any number)"
+                "which this mlp policy was trained (shared and linear ones run on any number)"
             )
         multipliers = self.multipliers
         if num_urllc != len(multipliers):
@@ -159,7 +171,7 @@ def _actors(parameters: NDArray[np.float32], content: _Content) -> NDArray[np.fl
     sizes = layer_sizes(
         content.network,
         content.hidden,
-        num_features(content.observe_robots),
+        num_features(content.observe_robots, content.observe_demand),
         len(content.multipliers),
         content.num_embb,
     )

@@ -135,7 +135,8 @@ def _decider(run: LoggedRun, logged: Fields) -> AnyPolicy:
         return find_policy(run.scenario, run.policy)
     if "start" not in run.metadata or np.isnan(logged.get("weight", np.nan)).any():
         return LoggedDecisions(needed_field(run, logged, "prb_owner"))
-    return LoggedWeights(logged["weight"].astype(np.float64), run.metadata["start"])
+    start, weighs = run.metadata["start"], run.metadata.get("weighs", "utility")  # unless it says
+    return LoggedWeights(logged["weight"].astype(np.float64), start, weighs)
 
 
 def _start(run: LoggedRun, batch: Batch, logged: Fields) -> tuple[Simulator, NDArray[np.float64]]:

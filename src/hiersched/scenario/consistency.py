@@ -321,6 +321,7 @@ def _learners(scenario: Scenario) -> list[str]:
 
 def _learning(scenario: Scenario, section: str, learning: Learning) -> list[str]:
     round_slots = learning.num_envs * learning.slots_per_episode
+    is_es = learning.algorithm == "es"
     return [
         *_algorithm(section, learning),
         *_once(f"{section}.seeds", learning.seeds, "seed"),
@@ -335,7 +336,7 @@ def _learning(scenario: Scenario, section: str, learning: Learning) -> list[str]
                 f"{section}.checkpoints = {learning.checkpoints}: at most {MOST_CHECKPOINTS}",
             ),
             (
-                learning.replay_capacity < round_slots,
+                learning.algorithm == "ddpg" and learning.replay_capacity < round_slots,
                 f"{section}.replay_capacity = {learning.replay_capacity}: at least "
                 f"{section}.num_envs * {section}.slots_per_episode = {round_slots}",
             ),
@@ -345,9 +346,45 @@ def _learning(scenario: Scenario, section: str, learning: Learning) -> list[str]
                 f"{scenario.plant.model}, whose robots have no position",
             ),
             (
+                learning.reward_terms == "control_drift" and not scenario.plant.has_pose,
+                f"{section}.reward_terms = control_drift: must be drift_plus_penalty where "
+                f"plant.model = {scenario.plant.model}, whose robots have no position",
+            ),
+            (
+                learning.observe_demand and not scenario.plant.has_pose,
+                f"{section}.observe_demand = true: must be false where plant.model = "
+                f"{scenario.plant.model}, whose robots have no position",
+            ),
+            (
                 learning.start == "drift_plus_penalty" and learning.algorithm == "ddpg",
                 f"{section}.start = drift_plus_penalty: must be pf or max_weight with "
                 f"{section}.algorithm = ddpg, whose actors need the gradient of the allocation",
+            ),
+            (
+                learning.advantage == "user"
+                and (learning.network == "mlp" or learning.reward == "cooperative"),
+                f"{section}.advantage = user: must be slice or counterfactual where "
+                f"{section}.network = mlp, which values no user, or {section}.reward = cooperative",
+            ),
+            (
+                is_es and learning.num_envs % (2 * learning.pairs + 1) > 0,
+                f"{section}.num_envs = {learning.num_envs}: must be a multiple of 2 * "
+                f"{section}.pairs + 1 = {2 * learning.pairs + 1} with {section}.algorithm = es",
+            ),
+            (
+                is_es and learning.frozen,
+                f"{section}.frozen = true: must be false with {section}.algorithm = es, which puts "
+                "no noise on actions",
+            ),
+            (
+                is_es and learning.fitness == "tracking" and not scenario.plant.has_pose,
+                f"{section}.fitness = tracking: must be reward where plant.model = "
+                f"{scenario.plant.model}, whose robots have no position",
+            ),
+            (
+                learning.weighs == "drift" and learning.start != "drift_plus_penalty",
+                f"{section}.weighs = drift: must be utility with {section}.start = "
+                f"{learning.start}, which has no drift",
             ),
             (
                 learning.batch_size > learning.replay_capacity,

@@ -168,11 +168,14 @@ class Learning(_Strict):
     """The two agents and how they are trained."""
 
     algorithm: LearnerName
-    network: Literal["shared", "mlp"]
+    network: Literal["shared", "mlp", "linear"]
     start: Literal["pf", "max_weight", "drift_plus_penalty"]
+    weighs: Literal["utility", "drift"]
     reward: Literal["cooperative", "independent"]
+    reward_terms: Literal["drift_plus_penalty", "control_drift"]
     task_weight: NonNegative
     observe_robots: bool
+    observe_demand: bool
     frozen: bool
     seeds: Annotated[tuple[Seed, ...], NonEmpty]
     episodes: Count
@@ -185,7 +188,12 @@ class Learning(_Strict):
     reward_scale: Positive
     discount: Annotated[float, Field(ge=0, lt=1)]
     rollout_slots: Count
+    advantage: Literal["slice", "user", "counterfactual"]
     gae_decay: Annotated[float, Field(ge=0, le=1)]
+    pairs: Count
+    perturbation_std: Positive
+    fitness: Literal["tracking", "reward"]
+    shortfall_price: NonNegative
     batch_size: Count
     replay_capacity: Count
     warmup_slots: Annotated[int, Field(ge=0)]
@@ -364,6 +372,13 @@ def hold_of(method: str) -> int:
     samples from growing. A prediction over T samples is right for the delay T alone.
     """
     return 0 if method == "predictor" else 5
+
+
+def worlds_per_round(learning: Learning) -> int:
+    """Worlds of a round of training: one an episode, or one for all members of a population."""
+    if learning.algorithm != "es":
+        return learning.num_envs
+    return learning.num_envs // (2 * learning.pairs + 1)
 
 
 def checkpoint_rounds(learning: Learning) -> tuple[int, ...]:

@@ -15,7 +15,14 @@ from hiersched.models import seams
 from hiersched.models.model import Model, Setup, models_of, num_model_values
 from hiersched.policies.features import num_features, observe_worlds
 from hiersched.policies.find import find_policy
-from hiersched.policies.policy import LoggedDecisions, Owners, Policy, View, Weigher, Weights
+from hiersched.policies.policy import (
+    LoggedDecisions,
+    Owners,
+    Policy,
+    View,
+    Weigher,
+    Weights,
+)
 from hiersched.policies.registry import ALLOCATIONS, Rule
 from hiersched.policies.seams import ALLOCATE, INDEX, WEIGH
 from hiersched.scenario.schema import Scenario
@@ -162,6 +169,7 @@ class Simulator:
         num_slots: int | None = None,
         *,
         weights: NDArray[np.float64] | None = None,
+        weighs: str = "utility",
         multipliers: NDArray[np.float64] | None = None,
         record: SlotRecord | None = None,
     ) -> SlotRecord:
@@ -170,7 +178,8 @@ class Simulator:
         It runs `num_slots` slots; unless given those of the decisions or of the record, or up to
         the horizon. `record` is filled and returned; a new one unless given. `weights` (E, U) are
         factors of the users' utilities under a rule, held for all these slots, 1 unless given;
-        round robin and EDF have no utility and leave them unused. `multipliers` (E, R) are those of
+        round robin and EDF have no utility and leave them unused. With `weighs` = ``drift``, which
+        drift-plus-penalty has, they are factors of its drift. `multipliers` (E, R) are those of
         each URLLC user's delay constraint; those of the policy unless given, or 0.
 
         ValueError on an unknown policy, weights that are not positive and finite, owners that are
@@ -185,7 +194,7 @@ class Simulator:
         if isinstance(policy, LoggedDecisions):
             self._run(None, record, self._owners(policy.prb_owner, num_slots))
         elif isinstance(policy, (Rule, Weigher)):  # a union is made anew in every call
-            self._run(policy, record)
+            self._run(policy, record, weighs=weighs)
         elif isinstance(policy, Policy):
             self._by_slot(policy, record)
         else:
@@ -279,29 +288,37 @@ class Simulator:
             raise ValueError(f"{wanted}; user {user} of world {env} has none")
         return np.ascontiguousarray(prb_owner, dtype=np.uint32)
 
-    def _prepare(self, policy: Rule | Weigher | str | None) -> Pointer:
+    def _prepare(self, policy: Rule | Weigher | str | None, weighs: str = "utility") -> Pointer:
         """Compile a policy, or load it; once for this simulator. None: owners are given."""
-        if policy not in self._prepared:
+        key = policy, weighs
+        if key not in self._prepared:
             if isinstance(policy, str):
-                self._prepared[policy] = self._prepare(self.rule(policy))
+                self._prepared[key] = self._prepare(self.rule(policy), weighs)
             else:
-                plugs = {} if policy is None else self._plugs_of(policy)
-                self._prepared[policy] = Pointer(self._plugs._replace(**plugs))
-        return self._prepared[policy]
+                plugs = {} if policy is None else self._plugs_of(policy, weighs)
+                self._prepared[key] = Pointer(self._plugs._replace(**plugs))
+        return self._prepared[key]
 
-    def _plugs_of(self, policy: Rule | Weigher) -> dict[str, Plug]:
+    def _plugs_of(self, policy: Rule | Weigher, weighs: str) -> dict[str, Plug]:
         if isinstance(policy, Weigher):
-            plugs = self._plugs_of(self.rule(policy.rule))
+            plugs = self._plugs_of(self.rule(policy.rule), policy.weighs)
             return {**plugs, "weigh": self._plug_policy(WEIGH, policy)}
-        if policy.allocation == "own":
+        allocation = policy.allocation
+        if weighs != "utility":
+            if (weighs, allocation) != ("drift", "lagrangian"):
+                raise ValueError(
+                    f"weighs = {weighs!r} with the allocation {allocation!r}: must be utility, or "
+                    "drift with lagrangian"
+                )
+            allocation = "weighed_drift"
+        if allocation == "own":
             return {"allocate": self._plug_policy(ALLOCATE, policy)}
-        if policy.allocation not in ALLOCATIONS:
+        if allocation not in ALLOCATIONS:
             raise ValueError(
-                f"allocation = {policy.allocation!r}: must be one of {', '.join(ALLOCATIONS)}, or "
-                "own"
+                f"allocation = {allocation!r}: must be one of {', '.join(ALLOCATIONS)}, or own"
             )
         scenario = self.scenario
-        words = ALLOCATIONS[policy.allocation](scenario.num_users, scenario.radio.num_prb)
+        words = ALLOCATIONS[allocation](scenario.num_users, scenario.radio.num_prb)
         return {
             "allocate": self._plug(ALLOCATE, policy, words),
             "rule": self._plug_policy(INDEX, policy, needed=False),
@@ -312,9 +329,10 @@ class Simulator:
         policy: Rule | Weigher | str | None,
         record: SlotRecord,
         owners: NDArray[np.uint32] | None = None,
+        weighs: str = "utility",
     ) -> None:
         """Run as many slots as the record has, under a compiled policy or by given owners."""
-        where = self._prepare(policy), self._constants, self._state, self._one
+        where = self._prepare(policy, weighs), self._constants, self._state, self._one
         self._call(run_slots, *where, self._no_owners if owners is None else owners, record.rows)
 
     def set_channel(self, fading_power: NDArray[np.float32]) -> None:
@@ -323,18 +341,24 @@ class Simulator:
         self._call(rate_channels, self._models, self._constants, self._state, self._slot)
 
     def features(
-        self, multipliers: NDArray[np.float64], *, observe_robots: bool = False
+        self,
+        multipliers: NDArray[np.float64],
+        *,
+        observe_robots: bool = False,
+        observe_demand: bool = False,
     ) -> NDArray[np.float32]:
         """Features of every user at the start of the coming slot (`policies.features`), (E, U, F).
 
         `multipliers` (E, R) of the users' delay constraints are put into the state. With
-        `observe_robots`, `ROBOT_FEATURES` follow; of slice means there are none.
+        `observe_robots`, `ROBOT_FEATURES` follow, with `observe_demand` `DEMAND_FEATURES`; of slice
+        means there are none.
         """
         self.state.multiplier[:] = multipliers
-        shape = (*self.state.weight.shape, num_features(observe_robots))
+        shape = (*self.state.weight.shape, num_features(observe_robots, observe_demand))
         features = np.empty(shape, np.float32)
         where = self._constants, self._state
-        self._call(observe_worlds, *where, bool(observe_robots), features)
+        observed = bool(observe_robots), bool(observe_demand)
+        self._call(observe_worlds, *where, *observed, features)
         return features
 
     def decide(
@@ -362,7 +386,7 @@ class Simulator:
             decision = policy.decide(self.view)
             if isinstance(decision, Weights):
                 self._set_weights(np.asarray(decision.values, np.float64))
-                self._run(decision.rule, one)
+                self._run(decision.rule, one, weighs=decision.weighs)
             elif isinstance(decision, Owners):
                 self.state.weight[:] = 1.0
                 self._run(None, one, self._owners(np.asarray(decision.prb_owner))[:, None])
