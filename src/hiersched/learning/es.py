@@ -12,8 +12,10 @@ The fitness of a member with `learning.fitness` = ``tracking`` is
 E the root mean square of a robot's tracking error over the episode, averaged over robots and
 worlds, S the packets of eMBB users that were served in all worlds, S0 those under the start, p
 `learning.shortfall_price`. With ``reward`` it is the mean reward over slots and worlds: the agent's
-own, or the mean of both where `learning.reward` is cooperative. Ranks take the place of fitnesses,
-and Adam climbs.
+own, or the mean of both where `learning.reward` is cooperative. Ranks take the place of fitnesses.
+The step is momentum over the running root mean square of all of an actor's gradient, times
+`learning.actor_lr`, which falls to 0 over the training: a step by parameter, such as Adam's, goes
+as far where there is nothing but noise as where there is a slope, and a constant one never settles.
 """
 
 from __future__ import annotations
@@ -28,11 +30,12 @@ from torch import Tensor
 from hiersched.learning.algorithm import Algorithm, Losses, Outcome, seeded_normals
 from hiersched.learning.networks import NUM_AGENTS
 from hiersched.learning.rewards import priced_rewards
-from hiersched.learning.stack import StackedAdam
 from hiersched.scenario.schema import Scenario, worlds_per_round
 
 _SERVED_SHARE = 0.995
 """Of what the start serves of eMBB: what a policy may fall to without a price."""
+_MOMENTUM, _SQUARE_DECAY = 0.8, 0.9
+_LEAST_SCALE = 1e-12
 _LEAST_ERROR_CM = 1e-6
 """Taken for an error below it: robots that rest on their reference have a fitness too."""
 
@@ -59,7 +62,9 @@ class EvolutionStrategy(Algorithm):
                 f"learning.pairs + 1 = {self._members}"
             )
         self._worlds = worlds_per_round(learning)
-        self.adam = StackedAdam(self.actor, learning.actor_lr, learning.gradient_clip)
+        self._mean = torch.zeros_like(self.actor)
+        self._square = torch.zeros_like(self.actor[:, :1])
+        self._done = 0.0
 
     def start_round(self, features: NDArray[np.float32]) -> None:
         """As in `Algorithm`: draw the disturbances, half of which are the others' mirror images."""
@@ -82,6 +87,7 @@ class EvolutionStrategy(Algorithm):
 
     def explore(self, features: NDArray[np.float32], done: float) -> NDArray[np.float32]:
         """As in `Algorithm`: each member acts in its environments, the start in the first ones."""
+        self._done = done
         num_seeds, _, num_users, _ = features.shape
         mine = features[:, self._worlds :].reshape(-1, self._worlds, *features.shape[2:])
         actions = self._actions(self._population, mine).reshape(num_seeds, -1, num_users)
@@ -142,14 +148,23 @@ class EvolutionStrategy(Algorithm):
         ranks = centred_ranks(fitness).astype(np.float32)
         scale = -1.0 / (self._noise.shape[1] * self._learning.perturbation_std)
         descent = scale * np.einsum("sma,smap->sap", ranks, self._noise)
-        self.adam.step(self.actor, torch.from_numpy(descent.astype(np.float32)).flatten(0, 1))
+        self._step(torch.from_numpy(descent.astype(np.float32)).flatten(0, 1))
         return Losses(critic=None, actor=torch.from_numpy(-fitness.mean(1)))
+
+    def _step(self, gradient: Tensor) -> None:
+        """Move the actors, shape (S 2, P), against a gradient, in place."""
+        self._mean.lerp_(gradient, 1.0 - _MOMENTUM)
+        square = gradient.square().mean(1, keepdim=True)
+        first = self._square == 0.0
+        self._square = torch.where(first, square, self._square.lerp(square, 1.0 - _SQUARE_DECAY))
+        rate = self._learning.actor_lr * (1.0 - self._done)
+        self.actor -= rate * self._mean / self._square.sqrt().clamp(min=_LEAST_SCALE)
 
     def state(self) -> dict[str, Any]:
         """As in `Algorithm`, between two rounds."""
-        return {"actor": self.actor, "adam": self.adam.state()}
+        return {"actor": self.actor, "mean": self._mean, "square": self._square}
 
     def load_state(self, state: dict[str, Any]) -> None:
         """As in `Algorithm`."""
         self.actor = state["actor"]
-        self.adam.load_state(state["adam"])
+        self._mean, self._square = state["mean"], state["square"]
