@@ -12,6 +12,7 @@ from __future__ import annotations
 import statistics
 import time
 from collections.abc import Callable
+from dataclasses import replace
 
 from common import Figure, main, paper, some_policy
 
@@ -22,6 +23,7 @@ from hiersched.core.compiled import kernel
 from hiersched.core.pointer import Pointer
 from hiersched.core.randomness import world_keys
 from hiersched.policies.policy import View, Weights
+from hiersched.scenario import Scenario, load_scenario
 from hiersched.simulator import Simulator, SlotRecord
 from hiersched.simulator.loop import draw_channel
 from hiersched.simulator.loop_gains import nominal_gains
@@ -33,6 +35,7 @@ BATCH = "pf, 64 worlds, 200 slots a call"
 CALL = "pf, one world, 200 slots a call"
 TEN = "pf, 10 worlds, 200 slots a call"
 PYTHON = "a policy in Python, 10 worlds"
+PRESENT = "teleop_fading, robots know their reference, 64 worlds"
 COMPARED = {
     "the 10 robots alone, 64 worlds": (FLOOR, 0.3),
     BATCH: (FLOOR, 0.11),
@@ -43,6 +46,9 @@ COMPARED = {
     "a trained policy (shared, 64-64), 64 worlds": (BATCH, 0.2),
     "a trained policy (mlp, 64-64), 64 worlds": (BATCH, 0.3),
     PYTHON: (TEN, 0.45),
+    PRESENT: (FLOOR, 0.05),
+    "teleop_fading, set-points held, 64 worlds": (PRESENT, 0.85),
+    "teleop_fading, set-points extrapolated, 64 worlds": (PRESENT, 0.7),
 }
 """Contender -> with whose speed its own is compared, and the least ratio."""
 
@@ -56,9 +62,9 @@ def draw_floor(plugs, constants, state, slot, slots):
             draw_channel(plugs, constants, state, slot, env)
 
 
-def simulator(num_envs: int, num_slots: int = SLOTS) -> Simulator:
-    """Worlds of the scenario `paper` with the nominal gain at every delay."""
-    scenario = paper()
+def simulator(num_envs: int, num_slots: int = SLOTS, scenario: Scenario | None = None) -> Simulator:
+    """Worlds of a scenario, `paper` unless given, with the nominal gain at every delay."""
+    scenario = paper() if scenario is None else scenario
     return Simulator(scenario, nominal_gains(scenario), world_keys("bench", 1, num_envs), num_slots)
 
 
@@ -130,6 +136,11 @@ def contenders() -> dict[str, Callable[[], int]]:
         return 64 * SLOTS
 
     delay_s = np.full((64, SLOTS, many.scenario.users.num_urllc), 0.015)
+    teleop = load_scenario("teleop_fading")
+    late = [
+        simulator(64, scenario=replace(teleop, robot=replace(teleop.robot, set_point=name)))
+        for name in ("present", "hold", "extrapolate")
+    ]
     shared, flat = (some_policy(many.scenario, learner) for learner in ("ddpg", "ddpg_mlp"))
     works = (
         robots,
@@ -141,6 +152,7 @@ def contenders() -> dict[str, Callable[[], int]]:
         episodes(many, shared, 1),
         episodes(many, flat, 1),
         episodes(ten, Waits(), 4),
+        *(episodes(worlds, "drift_plus_penalty", 1) for worlds in late),
     )
     return {FLOOR: floor, **dict(zip(COMPARED, works, strict=True))}
 
