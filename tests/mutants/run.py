@@ -1,6 +1,6 @@
 """Mutants of four areas, drawn with a fixed seed, and the tests that kill them: `make mutants`.
 
-python tests/mutants/run.py [--list] [--out FILE]
+python tests/mutants/run.py [--list] [--area AREA] [--out FILE]
 
 Every mutant has a line in FILE: area, id, place, operator, what has changed, and what became of it.
 A mutant that is recorded as killed is not run again: a stopped run goes on, and survivors meet new
@@ -21,7 +21,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -36,12 +35,13 @@ SEED = 20260917
 MUTANTS_PER_AREA = 15
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = "src/hiersched"
-LIMIT_FACTOR, LIMIT_ADDED_S = 3.0, 120.0  # the kernels of a mutant are compiled anew
+# A folder of tests, and all of them, compiling included: three times what they take, and more.
+FOLDER_LIMIT_S, LIMIT_S = 300.0, 1800.0
 
 
 @dataclass(frozen=True)
 class Area:
-    """Folders of the package, and the folders of tests that are run first."""
+    """Folders of the package, and the folders of tests that are run before all others."""
 
     sources: tuple[str, ...]
     tests: tuple[str, ...]
@@ -209,7 +209,7 @@ class Copy:
         return set((self.root / PACKAGE / "__pycache__").glob("kernels-*"))
 
     def test(self, places: list[str], limit_s: float) -> str:
-        """What kills in these tests: '' where all pass within the limit."""
+        """What becomes of a mutant in these tests: '' where all pass within the limit."""
         command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *places]
         threads = {f"{name}_NUM_THREADS": "1" for name in ("OMP", "OPENBLAS", "MKL")}
         source = {"PYTHONPATH": str(self.root / "src"), "PYTHONHASHSEED": "0"}
@@ -225,41 +225,41 @@ class Copy:
             try:
                 code = process.wait(limit_s)
             except subprocess.TimeoutExpired:
-                return f"timed out after {limit_s:.0f} s: {' '.join(places)}"
+                return f"timed out after {limit_s:.0f} s in {places[0]}"
             finally:
                 if process.poll() is None:
                     os.killpg(process.pid, signal.SIGKILL)
                     process.wait()
             output.seek(0)
             text = output.read()
-        if code in (0, 5):  # 5: all tests here are nightly
+        if code in (0, 5):  # 5: all of them are nightly
             return ""
         named = re.search(r"^(?:FAILED|ERROR) (.*)$", text, re.MULTILINE)
-        return named[1].split(" - ")[0] if named else f"pytest ends with {code}: {places[0]}"
+        name = named[1].split(" - ")[0] if named else f"{places[0]}: pytest ends with {code}"
+        return f"killed by {name}"
 
 
-def everything() -> list[str]:
-    """Folders and files of the tests."""
-    tests = sorted((ROOT / "tests").iterdir())
-    return [
-        path.relative_to(ROOT).as_posix()
-        for path in tests
-        if path.name.startswith("test_") or any(path.glob("test_*.py"))
-    ]
+def stages(mutant: Mutant) -> Iterator[tuple[list[str], float]]:
+    """Tests in the order in which they meet a mutant, the likeliest first, and their time limit."""
+    source = Path(mutant.path).relative_to(PACKAGE)
+    named = f"tests/{source.parts[0]}/test_{source.stem}.py"
+    if (ROOT / named).exists():
+        yield [named], FOLDER_LIMIT_S
+    own = sorted(AREAS[mutant.area].tests, key=lambda name: name != source.parts[0])
+    for name in own:
+        yield [f"tests/{name}"], FOLDER_LIMIT_S
+    yield ["tests", *(f"--ignore=tests/{name}" for name in own)], LIMIT_S
 
 
-def run(copy: Copy, mutant: Mutant, durations: dict[str, float]) -> str:
+def run(copy: Copy, mutant: Mutant) -> str:
     """Put a mutant into the copy, look what kills it, and take it out again."""
-    own = [f"tests/{name}" for name in AREAS[mutant.area].tests]
-    stages = [*([place] for place in own), [place for place in durations if place not in own]]
     known = copy.kernels()
     copy.put(mutant.path, mutant.text)
     try:
-        for places in stages:
-            limit_s = LIMIT_FACTOR * sum(durations[place] for place in places) + LIMIT_ADDED_S
+        for places, limit_s in stages(mutant):
             killed = copy.test(places, limit_s)
             if killed:
-                return killed if killed.startswith("timed out") else f"killed by {killed}"
+                return killed
         return "survived"
     finally:
         copy.put(mutant.path, (ROOT / mutant.path).read_text(encoding="utf-8"))
@@ -267,44 +267,36 @@ def run(copy: Copy, mutant: Mutant, durations: dict[str, float]) -> str:
             shutil.rmtree(folder)
 
 
-def measured(copy: Copy) -> dict[str, float]:
-    """Seconds of each folder of tests on the code as it is, where all must pass."""
-    durations = {}
-    for place in everything():
-        begin = time.monotonic()
-        if failed := copy.test([place], 3600.0):
-            sys.exit(f"without a mutant: {failed}")
-        durations[place] = time.monotonic() - begin
-        print(f"{place}: {durations[place]:.0f} s", flush=True)
-    return durations
-
-
 def main() -> None:
     """Draw, run what has not been killed yet, and count."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--out", type=Path, default=ROOT / "results/mutants.tsv", metavar="FILE")
     parser.add_argument("--list", action="store_true", help="draw, and run nothing")
+    parser.add_argument("--area", choices=AREAS, action="append", help="all without")
     options: Any = parser.parse_args()
-    mutants = {mutant.described(): mutant for area in AREAS for mutant in drawn(area)}
+    areas = options.area or list(AREAS)
+    mutants = {mutant.described(): mutant for area in areas for mutant in drawn(area)}
     if options.list:
         print(*mutants, sep="\n")
         return
-    outcomes = {}
-    if options.out.exists():
+    outcomes: dict[str, str] = {}
+    begins = not options.out.exists()
+    if not begins:
         lines = options.out.read_text(encoding="utf-8").splitlines()
         outcomes = dict(line.rsplit("\t", 1) for line in lines)
-    due = [line for line in mutants if outcomes.get(line, "survived") == "survived"]
     options.out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         copy = Copy(Path(folder))
-        durations = measured(copy) if due else {}
-        for line in due:
-            outcomes[line] = run(copy, mutants[line], durations)
-            print(f"{line}\t{outcomes[line]}", flush=True)
-            done = [f"{line}\t{outcomes[line]}\n" for line in mutants if line in outcomes]
-            options.out.write_text("".join(done), encoding="utf-8")
-    for area in AREAS:
-        ends = [outcomes[line] for line in mutants if line.startswith(area)]
+        if begins and (failed := copy.test(["tests"], LIMIT_S)):
+            sys.exit(f"without a mutant: {failed}")
+        for line in mutants:
+            if outcomes.get(line, "survived") == "survived":
+                outcomes[line] = run(copy, mutants[line])
+                print(f"{line}\t{outcomes[line]}", flush=True)
+                done = [f"{line}\t{outcomes[line]}\n" for line in mutants if line in outcomes]
+                options.out.write_text("".join(done), encoding="utf-8")
+    for area in areas:
+        ends = [outcomes[line] for line in mutants if line.startswith(f"{area}\t")]
         print(f"{area}: {sum(end != 'survived' for end in ends)} of {len(ends)} killed")
 
 
