@@ -109,7 +109,8 @@ def candidates(area: str) -> Iterator[Mutant]:
                 if kind.arguments():
                     continue  # names variables of one program
                 seen: Counter[str] = Counter()
-                places = (start for node in nodes for start, _ in kind().mutation_positions(node))
+                positions = kind().mutation_positions
+                places = (start for node in nodes for start, _ in positions(node))
                 for occurrence, (line, column) in enumerate(places):
                     text = lines[line - 1]
                     place = f"{text.strip()} {column - len(text) + len(text.lstrip())}"
