@@ -58,7 +58,7 @@ test: $(STAMP)  ## the tests, in about two minutes
 nightly: $(STAMP)  ## the tests that take longer: fuzzing, kills, tutorials, whole studies
 	$(RUN) python -m pytest -n $(CORES) --dist loadgroup -m nightly
 
-mutants: $(STAMP)  ## 60 mutants and the tests that kill them, in about an hour (results/mutants.tsv)
+mutants: $(STAMP)  ## 60 mutants and the tests that kill them, in an hour or two (results/mutants.tsv)
 	"$(VENV)/bin/python" -m pip install --quiet $(PIP_ARGS) -c constraints.txt -e '.[dev,mutants]'
 	$(RUN) python tests/mutants/run.py
 
