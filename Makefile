@@ -21,7 +21,7 @@ RUN := env PATH="$(BIN):$$PATH" OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: oldest help install paper smoke readme docs gains test nightly lint format bench bench-short clean distclean
+.PHONY: oldest help install paper smoke readme docs gains test nightly mutants lint format bench bench-short clean distclean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-11s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -57,6 +57,10 @@ test: $(STAMP)  ## the tests, in about two minutes
 
 nightly: $(STAMP)  ## the tests that take longer: fuzzing, kills, tutorials, whole studies
 	$(RUN) python -m pytest -n $(CORES) --dist loadgroup -m nightly
+
+mutants: $(STAMP)  ## 60 mutants and the tests that kill them, in an hour or two (results/mutants.tsv)
+	"$(VENV)/bin/python" -m pip install --quiet $(PIP_ARGS) -c constraints.txt -e '.[dev,mutants]'
+	$(RUN) python tests/mutants/run.py
 
 lint: $(STAMP)  ## style, types, import directions, workflow format
 	$(RUN) ruff check .

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
@@ -102,6 +104,24 @@ def test_fridmans_loop_has_a_functional_with_two_segments(fridman):
     assert contraction(form, lifted_modes(*fridman, 15, 15)) < 1.0
     form = common_functional([fridman, fridman], [7, 19])
     assert form is None or contraction(form, lifted_modes(*fridman, 19, 19)) >= 1.0
+
+
+def test_functionals_of_two_gains_meet_on_one_window(make_network_plant):
+    """That of a shorter delay is extended to the longer window, where it falls as it says."""
+    plant = make_network_plant()
+    schedule = SimpleNamespace(gains=[plant.nominal_gain] * 4)
+    loop, window = plant.closed_loop(plant.nominal_gain), 3
+    for T in (0, 1, window):
+        level = _level(plant, schedule, T, window)
+        assert level.form.shape == (plant.B.shape[0] * (window + 1),) * 2
+        found = contraction(level.form, lifted_modes(*loop, T, window))  # rounding included
+        assert found - 1e-6 < level.contraction < 1.0
+
+
+def test_worst_period_by_hand():
+    """Doubling for p samples and quartering for q grows by 2^((p - 2q) / (p + q)) a sample."""
+    growth, p, q = worst_period(np.array([[2.0]]), np.array([[0.25]]), (1, 2, 3))
+    assert (growth, p, q) == (pytest.approx(2.0**0.25), 3, 1)
 
 
 @pytest.mark.nightly

@@ -108,6 +108,15 @@ def test_truncation_at_every_kind_of_record(
     assert log_path.read_bytes() == good[: len(good) - 3]
 
 
+def test_a_header_with_a_closing_magic_is_truncated(log_path: Path) -> None:
+    """Too short for a log, though both ends are those of one."""
+    good = log_path.read_bytes()
+    (length,) = struct.unpack_from("<Q", good, 9)
+    log_path.write_bytes(good[: 17 + length] + good[-8:])
+    with pytest.raises(LogError, match="truncated"):
+        LogReader(log_path)
+
+
 def assert_part_of(path: Path, fields: Any, num_slots: int) -> None:
     with LogReader(path) as log:
         for topic in log.topics:

@@ -156,6 +156,17 @@ def test_a_second_file_behind_the_first_is_named(
     assert [loss for loss in losses if f"{len(other) - cut} bytes behind the end" in loss]
 
 
+@pytest.mark.parametrize("kept", [0, 4, 8, 9, 20])
+def test_a_part_of_a_summary_is_no_loss(
+    tmp_path: Path, random_fields: Any, write_log: Any, kept: int
+) -> None:
+    """All data lie before the summary: a file that ends within it has lost nothing."""
+    whole: bytes = write_log(tmp_path / "a.mcap", random_fields(SLOTS)).read_bytes()
+    (summary,) = struct.unpack_from("<Q", whole, len(whole) - 28)
+    result = recovered(tmp_path, whole[: summary + kept])
+    assert result == (content(tmp_path / "a.mcap"), ())
+
+
 def test_wrong_times_of_a_chunk_are_named(tmp_path: Path, unfinished: bytes) -> None:
     result = recovered(tmp_path, unfinished)
     assert result is not None
@@ -206,6 +217,28 @@ def test_a_claim_of_memory_is_refused_before_it_is_allocated(
         read[0]()
     read[1]()
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 300_000  # KiB
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.5])
+def test_a_compressed_chunk_that_wants_another_size_is_not_unpacked(
+    tmp_path: Path, random_fields: Any, write_log: Any, factor: float
+) -> None:
+    """The frame itself says how much memory it wants; the checksum of the data section is right."""
+    import zlib
+
+    path: Path = write_log(tmp_path / "a.mcap", random_fields(SLOTS), compression="zstd")
+    data = bytearray(path.read_bytes())
+    (summary,) = struct.unpack_from("<Q", data, len(data) - 28)
+    frame = data.index(b"\x28\xb5\x2f\xfd")
+    head = data[frame + 4]
+    assert head >> 6 == 1  # a size of two bytes, less 256, behind the window where there is one
+    place = frame + 5 + (not head & 0x20)
+    (size,) = struct.unpack_from("<H", data, place)
+    struct.pack_into("<H", data, place, round(factor * (size + 256)) - 256)
+    struct.pack_into("<I", data, summary - 4, zlib.crc32(data[: summary - 13]))
+    path.write_bytes(data)
+    with pytest.raises(LogError, match="the compressed data have another size"):
+        content(path)
 
 
 def chunks_of(data: bytes) -> list[tuple[int, int]]:

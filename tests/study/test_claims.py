@@ -347,6 +347,7 @@ def test_rewards_and_queues_are_judged_without_noise_beside_a_control(
     size = 1.0 + 0.01 * np.array(SEEDS)
     rise, step = (1.0 - math.exp(-9)) * size, (math.exp(-6) - math.exp(-9)) * size
     assert late.interval.mean == pytest.approx((step - 0.1 * rise).mean())
+    assert late.name.endswith("last step − 10 % of that")
     shown = {(c.axis, c.policy): c for c in claims[1].others if not c.counts}
     assert set(shown) == {
         ("learns nothing", "idle"),

@@ -11,6 +11,7 @@ from scipy import stats
 
 from hiersched.log import LogReader
 from hiersched.scenario import Scenario
+from hiersched.simulator.loop_gains import plant_of
 from hiersched.study.metrics import run_metrics
 from hiersched.study.statistics import skewed_interval, smallest_mean
 from hiersched.study.study import Study
@@ -263,7 +264,7 @@ def test_sweeps_have_every_axis_value_and_policy(
     assert row["embb_rate_mbps"] == np.mean(rates)
 
 
-def test_gains_say_what_is_certified(tables: dict[str, pd.DataFrame]) -> None:
+def test_gains_say_what_is_certified(tables: dict[str, pd.DataFrame], tiny: Scenario) -> None:
     table = tables["gains"]
     assert table["method"].unique().tolist() == ["krasovskii", "razumikhin", "predictor"]
     assert table["plant"].unique().tolist() == ["network", "split"]
@@ -276,6 +277,9 @@ def test_gains_say_what_is_certified(tables: dict[str, pd.DataFrame]) -> None:
     assert table["spectral_radius"].to_numpy() == pytest.approx([0.9, *[0.95] * 12])
     # The nominal loop itself: stable without delay, and the less so the longer the delay.
     nominal = table["nominal_spectral_radius"].to_numpy()
+    plant = plant_of(tiny)
+    A_c, A_d = plant.closed_loop(plant.nominal_gain)
+    assert nominal[0] == pytest.approx(np.abs(np.linalg.eigvals(A_c + A_d)).max())
     assert nominal[0] < 1.0
     assert (np.diff(nominal) >= 0.0).all()
 
