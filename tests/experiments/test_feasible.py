@@ -30,7 +30,7 @@ def test_replay_takes_what_its_arrays_take(
     monkeypatch: pytest.MonkeyPatch, smoke_scenario: Scenario
 ) -> None:
     users, slots, capacity = smoke_scenario.users, 1000, 10**9
-    features = num_features(smoke_scenario.learning.observe_robots)
+    features = num_features(smoke_scenario.learning.observe_robots, observe_demand=False)
     buffer = ReplayBuffer(SEEDS, 1, slots, 1, users.num_urllc, (smoke_scenario.num_users, features))
     num_bytes = sum(array.nbytes for array in buffer.state()["arrays"].values())
     needed = training_gib(monkeypatch, smoke_scenario, replay_capacity=capacity)
@@ -43,7 +43,7 @@ def test_a_batch_takes_its_activations_and_what_is_made_of_them(
 ) -> None:
     """Layers of all users in float32, kept for the backward pass of an actor and a critic."""
     learning = smoke_scenario.learning
-    batch, features = 10**8, num_features(learning.observe_robots)
+    batch, features = 10**8, num_features(learning.observe_robots, observe_demand=False)
     layers = features + sum(learning.hidden)
     activations = 4.0 * SEEDS * batch * smoke_scenario.num_users * layers / 2**30
     asked = {"replay_capacity": batch}
