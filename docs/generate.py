@@ -30,6 +30,7 @@ from hiersched.experiments import files
 from hiersched.models.model import SECTIONS
 from hiersched.policies.index_rules import CLASSICAL
 from hiersched.policies.registry import RULES
+from hiersched.policies.task_rules import TASK_RULES
 from hiersched.scenario import parameter_notes
 from hiersched.study import built_in as built_in  # registers what is shown
 from hiersched.study import measure, metrics
@@ -191,16 +192,31 @@ def _model_rows(place: str, kind: type) -> list[tuple[str, ...]]:
 
 @block
 def rules() -> str:
-    """Return a table of the classical schedulers, with the keys that each has as a policy."""
+    """Return a table of the schedulers, with the keys that each has as a policy."""
     rows = []
-    for name in CLASSICAL:
+    for name in (*CLASSICAL, *TASK_RULES):
         rule = RULES[name]
         own = model_schema(rule)["properties"]
         del own["model"]
         given = inspect.signature(rule).parameters
         texts = (f"`{key}` {code(flow(given[key].default))}: {allowed(own[key])}" for key in own)
-        rows.append((code(name), first_sentence(rule.__doc__), "; ".join(texts)))
-    return table(("rule", "what it does", "keys and their defaults"), rows)
+        knob = code(rule.knob or "")
+        rows.append((code(name), first_sentence(rule.__doc__), knob, "; ".join(texts)))
+    return table(("rule", "what it does", "knob", "keys and their defaults"), rows)
+
+
+@block
+def task_rules() -> str:
+    """Return a table of the schedulers by the task: weight, source, what each knows, its knob."""
+    rows = []
+    for name in TASK_RULES:
+        rule = RULES[name]
+        text = " ".join((inspect.getdoc(rule) or "").split())
+        weight = first_sentence(rule.__doc__)
+        knows = "the task" if rule.knows_task else "no task"
+        knob = code(rule.knob or "")
+        rows.append((code(name), weight, text.removeprefix(weight).strip(), knows, knob))
+    return table(("rule", "weight", "source", "knows", "knob"), rows)
 
 
 # Files and measures of a study.
@@ -384,6 +400,8 @@ WHERE = {
     "the dexterity index (DI)": ("hiersched.models.plant.dexterity:dexterity_index",),
     "the gain in force at a delay": ("hiersched.models.plant.feedback:entry_in_force",),
     "the weights of M-LWDF, and of any rule": ("hiersched.policies.index_rules:index_m_lwdf",),
+    "the weights by the robots' task": ("hiersched.policies.task_rules:index_task",),
+    "the knob of a rule": ("hiersched.policies.factor:Factored",),
     "what caps a rule's rates: its need": (
         "hiersched.policies.needs:expected_packets",
         "hiersched.policies.needs:need_mbps",

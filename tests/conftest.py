@@ -143,6 +143,7 @@ def decide_by_hand(smoke_scenario, nominal_gains):
     from hiersched.core.randomness import world_keys
     from hiersched.policies.registry import RULES
     from hiersched.simulator import Simulator
+    from hiersched.simulator.setup import TASK_STATE
 
     smoke, made = smoke_scenario, {}
 
@@ -187,6 +188,9 @@ def decide_by_hand(smoke_scenario, nominal_gains):
         epsilon=0.01,
         delay_exponent_per_mbps=0.16,
         violation_share=0.05,
+        mean_due_packets=1.0,
+        keys=None,
+        **task,
     ):
         rate = np.asarray(rate, np.float32)
         num_users, num_prb = rate.shape
@@ -207,6 +211,10 @@ def decide_by_hand(smoke_scenario, nominal_gains):
         state.dexterity_index[0] = of_urllc["offset"][:num_urllc] / coefficient_mbps
         constants.deadline_s[:] = deadline_s
         constants.late_share[:] = late_share
+        constants.mean_due_packets[:] = mean_due_packets
+        assert task.keys() <= set(TASK_STATE)
+        for field in TASK_STATE:
+            getattr(state, field)[0] = task.get(field, 0.0)
         constants.offered_mbps[:] = offered_mbps
         constants.rate_sensitivity[:] = rate_sensitivity
         constants.arrival_packets_per_mbps[:] = arrival_packets_per_mbps
@@ -225,9 +233,10 @@ def decide_by_hand(smoke_scenario, nominal_gains):
         )
         # What no rule writes is no user's.
         simulator._one.value.fields.prb_owner[:] = 10**6
-        state.need_mbps[:] = state.index_weight[:] = np.nan
+        state.need_mbps[:] = state.index_weight[:] = state.drift_weight[:] = np.nan
+        of_rule = {"need": need} if hasattr(RULES[name], "need") else {}
         owner = simulator.decide(
-            RULES[name](need=need) if hasattr(RULES[name], "need") else RULES[name](),
+            RULES[name](**of_rule, **(keys or {})),
             of_urllc["multiplier"][None, :num_urllc],
             weights=per_user(weight, num_users)[None],
         )

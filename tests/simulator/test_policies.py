@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import subprocess
 import sys
 from dataclasses import dataclass, replace
@@ -9,6 +10,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pytest
+import yaml
 
 from hiersched.allocation.exact import owned_rates
 from hiersched.allocation.objective import slot_terms, user_lagrangian
@@ -16,9 +18,13 @@ from hiersched.policies.find import ExactPolicy
 from hiersched.policies.index_rules import CLASSICAL, LogRule, MaxWeight
 from hiersched.policies.policy import LoggedWeights, Owners, View, Weigher, Weights
 from hiersched.policies.registry import RULES, Rule
-from hiersched.policies.seams import ALLOCATE, WEIGH
+from hiersched.policies.seams import ALLOCATE, INDEX, WEIGH
+from hiersched.policies.task_rules import TASK_RULES
+from hiersched.scenario import load_scenario
+from hiersched.simulator.setup import TASK_STATE, SlotState
 
 BUT_WEIGHTS = {"weight"}
+BY_THE_POLICY = {"weight", "index_weight", "need_mbps", "drift_weight", "multiplier"}
 
 
 class Decider:
@@ -183,6 +189,12 @@ def test_a_policy_sees_the_slot_that_comes(make_simulator):
     multipliers = np.random.default_rng(2).uniform(0, 3, (2, 4))
     policy = Decider(lambda view: Weights(np.ones((2, 8))))
     simulator = make_simulator(traffic={"load": 1.2})
+    task = np.random.default_rng(3).random((len(TASK_STATE), 2, 4))
+    for name, values in zip(TASK_STATE, task, strict=True):
+        getattr(simulator.state, name)[:] = values
+    shown = {name: np.copy(getattr(simulator.view, name)) for name in TASK_STATE}
+    for name, values in zip(TASK_STATE, task, strict=True):
+        np.testing.assert_array_equal(shown[name], values, err_msg=name)
     record = simulator.run(policy, multipliers=multipliers)
     radio = simulator.scenario.radio
     snr = 10 ** ((radio.tx_power_dbm - radio.noise_dbm) / 10)
@@ -354,7 +366,7 @@ def test_to_decide_leaves_the_state_as_it_is(make_simulator, assert_same_bits, r
         before = {name: values.copy() for name, values in simulator.state._asdict().items()}
         owners = simulator.decide(compiled, multipliers)
         for name, values in before.items():
-            if name not in ("weight", "index_weight", "need_mbps", "multiplier"):
+            if name not in BY_THE_POLICY:
                 np.testing.assert_array_equal(getattr(simulator.state, name), values, err_msg=name)
         np.testing.assert_array_equal(simulator.decide(compiled, multipliers), owners)
         record = simulator.run(policy, 7, multipliers=multipliers)
@@ -373,6 +385,116 @@ def test_to_decide_takes_weights(make_simulator):
     np.testing.assert_array_equal(weighted.prb_owner[:, 0], owners)
     with pytest.raises(ValueError, match="weights: must be positive"):
         simulator.decide(simulator.rule("pf"), weights=-weights)
+
+
+# The knob, and rules by the task.
+
+
+@pytest.mark.parametrize("name", CLASSICAL)
+def test_a_factor_of_1_is_the_rule(make_simulator, name):
+    """The one without its kernel decides as that with the nearest factor; a knob favours URLLC."""
+    simulator = make_simulator(traffic={"load": 1.1})
+    rule = simulator.rule(name)
+    expected = simulator.run(rule)
+    knob = RULES[name].knob
+    if knob is None:
+        assert name == "round_robin"
+        return
+    assert getattr(rule, knob) == 1.0
+
+    def run(value):
+        return make_simulator(traffic={"load": 1.1}).run(replace(rule, **{knob: value}))
+
+    if name in ("pf", "max_rate", "drift_plus_penalty"):
+        assert rule.words(simulator.setup) is None
+        nearest = run(math.nextafter(1.0, 2.0))
+        np.testing.assert_array_equal(nearest.prb_owner, expected.prb_owner)
+    less, more = (run(value).rate_mbps[..., :4].sum() for value in (0.05, 20.0))
+    assert less > more if name == "edf" else less < more
+
+
+def set_task(simulator, value):
+    for name in TASK_STATE:
+        getattr(simulator.state, name)[:] = value
+
+
+def test_urgency_at_rest_with_a_floor_of_1_is_drift_plus_penalty(make_simulator, assert_same_bits):
+    """Of Whittle's index and the age too, where nothing is older than a slot: h = 1 = 1 · 2 / 2."""
+
+    def run(rule):
+        simulator = make_simulator(traffic={"load": 1.1})
+        for _ in range(60):
+            set_task(simulator, 0.0)
+            simulator.run(rule, 1)
+        set_task(simulator, 0.0)
+        return simulator.state
+
+    names = set(SlotState._fields) - BY_THE_POLICY
+    expected = run("drift_plus_penalty")
+    for rule in (
+        RULES["urgency"](floor=1.0),
+        RULES["urgency"](floor=1.0, weighs="both"),
+        RULES["age"](),
+        RULES["age"](index="whittle", weighs="both"),
+    ):
+        assert_same_bits(run(rule), expected, names)
+    other = run(RULES["urgency"](floor=4.0))
+    assert (other.backlog_packets != expected.backlog_packets).any()
+
+
+@pytest.mark.parametrize("name", TASK_RULES)
+def test_a_rule_by_the_task_runs_under_the_name_of_a_policy(make_simulator, tmp_path, name):
+    """And its knob favours URLLC users, here where all have a queue and eMBB users wait."""
+    knob = RULES[name].knob
+    little, much = (0.9, 0.001) if knob == "tolerance_m" else (0.001, 1000.0)
+    keys = {policy: {} if knob is None else {knob: value}
+            for policy, value in (("little", little), ("much", much))}  # fmt: skip
+    policies = {policy: {"model": name, **own} for policy, own in keys.items()}
+    path = tmp_path / "mine.yaml"
+    path.write_text(yaml.safe_dump({"name": "mine", "policies": policies}))
+    rules = load_scenario(path).policies
+    assert all(rules[policy] == RULES[name](**own) for policy, own in keys.items())
+    simulator = make_simulator()
+    with pytest.raises(ValueError, match=f"policy = '{name}': must be one of pf"):
+        simulator.rule(name)
+    simulator.state.backlog_packets[:] = 40.0
+    simulator.state.hol_delay_s[:, 4:] = 0.2
+    set_task(simulator, 0.5)
+    prbs = {policy: np.count_nonzero(simulator.decide(rules[policy]) < 4) for policy in rules}
+    if knob is None:
+        assert name == "try_once_discard"
+    else:
+        assert prbs["much"] > prbs["little"]
+
+
+class WrongWords(NamedTuple):
+    weight: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wrong(Rule):
+    """Drift plus penalty with a weight of the drift that is none."""
+
+    model: Literal["wrong"] = "wrong"
+    weight: float = 1.0
+    allocation = "lagrangian"
+
+    def words(self, setup):
+        return WrongWords(self.weight)
+
+
+@INDEX.kernel(WrongWords)
+def index_wrong(me, constants, state, slot, env):
+    for user in range(state.index_weight.shape[1]):
+        state.index_weight[env, user] = 1.0
+    state.drift_weight[env, 2] = me.weight
+
+
+@pytest.mark.parametrize("weight", [-1.0, np.nan, np.inf])
+def test_a_weight_of_the_drift_that_is_none_is_refused(make_simulator, weight):
+    make_simulator().run(Wrong(weight=0.0), 3)
+    with pytest.raises(ValueError, match="a weight that is negative or not finite"):
+        make_simulator().run(Wrong(weight=weight), 3)
 
 
 # The exact optimum.
@@ -428,7 +550,7 @@ def test_rules_are_known_to_who_imports_the_simulator_alone():
         "import hiersched.simulator\nfrom hiersched.policies.registry import RULES\nprint(*RULES)"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert set(done.stdout.split()) == set(CLASSICAL)
+    assert set(done.stdout.split()) == {*CLASSICAL, *TASK_RULES}
 
 
 def test_equal_rules_are_prepared_once_and_others_apart(make_simulator):

@@ -3,6 +3,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from matplotlib.figure import Figure
 from matplotlib.text import Annotation
 
 from hiersched.log import LogReader
+from hiersched.policies.registry import RULES
 from hiersched.scenario import Scenario
 from hiersched.study.built_in import shown
 from hiersched.study.figures.comparison import (
@@ -422,6 +424,17 @@ def test_policies_tell_apart_in_grey() -> None:
     looks = [policy_look(name) for name in (*names, "exp_pf", "log_rule", "edf")]
     assert len({look.marker for look in looks}) == len(looks)
     assert len({str(look.dashes) for look in looks}) == len(looks)
+
+
+def test_rules_by_the_task_have_their_own_look(smoke_scenario: Scenario) -> None:
+    """The first policy of each; a second one has that of its place, as other policies have."""
+    urgency, pf = RULES["urgency"](), RULES["pf"]()  # type: ignore[call-arg]
+    policies = {"fast": urgency, "loud": pf, "faster_still": urgency}
+    scenario = replace(smoke_scenario, policies=policies)
+    looks = {name: policy_look(name, scenario) for name in policies}
+    assert looks["fast"] == RULES["urgency"].look._replace(label="fast")  # type: ignore[attr-defined]
+    assert looks["faster_still"].label == "faster still"
+    assert len({look.color for look in looks.values()}) == 3
 
 
 def test_importing_study_is_light() -> None:

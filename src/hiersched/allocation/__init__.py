@@ -11,7 +11,7 @@ from hiersched.core.seam import Seam
 ALLOCATE = Seam(
     "allocation of a rule",
     reads="as the index of a rule; state.index_weight[env], state.need_mbps[env] (U,) of that; "
-    "state.weight[env] (U,)",
+    "state.weight[env], state.drift_weight[env] (U,)",
     writes="slot.prb_owner (K,): every user must get a PRB or more",
 )
 

@@ -320,9 +320,9 @@ def allocate_by_utility(me: MarginalWords, constants: Any, state: Any, slot: Any
     """Allocate all PRBs of a world's slot to raise the sum of the users' utilities of a rate R.
 
     LOG: w log R, PF when all w are equal. LINEAR: w R. LAGRANGIAN: minus w times the user's
-    drift-plus-penalty Lagrangian. CAPPED: w min(R, need); PRBs that nobody needs go by PF, without
-    weights. w is the weight of the policy times that of the rule, and the product stays in
-    `state.index_weight`.
+    drift-plus-penalty Lagrangian, its drift times `state.drift_weight`. CAPPED: w min(R, need);
+    PRBs that nobody needs go by PF, without weights. w is the weight of the policy times that of
+    the rule, and the product stays in `state.index_weight`.
     """
     rate, need = state.reported_rate_mbps[env], state.need_mbps[env]
     weight = state.index_weight[env]
@@ -331,6 +331,8 @@ def allocate_by_utility(me: MarginalWords, constants: Any, state: Any, slot: Any
     for user in range(rate.shape[0]):
         weight[user] *= state.weight[env, user]
     check_weights(weight, 0.0)
+    if me.utility == LAGRANGIAN:
+        check_weights(state.drift_weight[env], 0.0)
     terms = slot_terms(
         constants,
         state.backlog_packets[env],

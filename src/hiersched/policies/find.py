@@ -17,6 +17,7 @@ from hiersched.core.registry import UnknownNameError
 from hiersched.policies.index_rules import CLASSICAL
 from hiersched.policies.policy import FunctionPolicy, Owners, Policy, View
 from hiersched.policies.registry import RULES, Rule
+from hiersched.policies.task_rules import TASK_RULES as TASK_RULES  # registers them
 
 if TYPE_CHECKING:
     from hiersched.scenario.schema import Scenario

@@ -35,6 +35,13 @@ class View(NamedTuple):
     last_rate_mbps: NDArray[np.float64]  # (E, U) of the slot before
     multiplier: NDArray[np.float64]  # (E, R) of each URLLC user's delay constraint
     dexterity_index: NDArray[np.float64]  # (E, R) as last reported by the robots
+    # The robots' task: newest is the last set-point in the queue, held the one in force.
+    set_point_age_s: NDArray[np.float64]  # (E, R) of the held one
+    set_point_speed_mps: NDArray[np.float64]  # (E, R) of the newest
+    waiting_speed_mps: NDArray[np.float64]  # (E, R) greatest of those that wait, and the newest
+    set_point_acceleration_mps2: NDArray[np.float64]  # (E, R) of the newest, magnitude
+    set_point_gap_m: NDArray[np.float64]  # (E, R) distance of newest and held
+    reported_error_m: NDArray[np.float64]  # (E, R) position error as last reported
     constants: SlotConstants  # deadlines, slices, what is expected of the arrivals
 
 

@@ -31,9 +31,14 @@ class Rule(Model):
     Its words have a kernel of the seam `policies.seams.INDEX`; with the allocation ``own`` one of
     `ALLOCATE` instead, and with ``log`` and ``lagrangian`` it needs none. Its `faults` do not name
     its place in the scenario. `look` is how figures show the rule under its own name.
+
+    `knob` is the key by which a study sets the rule's favour for URLLC against eMBB users, None
+    where there is none; `knows_task` whether the rule reads the robots' task.
     """
 
     look: ClassVar[Look]
+    knob: ClassVar[str | None] = None
+    knows_task: ClassVar[bool] = False
 
     @property
     def allocation(self) -> str:

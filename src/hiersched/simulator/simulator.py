@@ -30,6 +30,7 @@ from hiersched.simulator.loop import (
 from hiersched.simulator.loop_gains import Gains
 from hiersched.simulator.record import SlotLayout, SlotRecord
 from hiersched.simulator.setup import (
+    TASK_STATE,
     SlotConstants,
     SlotState,
     reset_state,
@@ -412,6 +413,7 @@ def _view(state: SlotState, constants: SlotConstants) -> View:
         "last_rate_mbps": state.rate_mbps,
         "multiplier": state.multiplier,
         "dexterity_index": state.dexterity_index,
+        **{name: getattr(state, name) for name in TASK_STATE},
     }
     shown = {name: _read_only(values) for name, values in arrays.items()}
     return View(**shown, constants=_read_only(constants))

@@ -25,6 +25,7 @@ from matplotlib.ticker import FixedFormatter, FixedLocator, NullFormatter, NullL
 from hiersched.core.files import write_bytes
 from hiersched.policies.find import EXACT
 from hiersched.policies.registry import RULES, Look
+from hiersched.policies.task_rules import TASK_RULES
 from hiersched.scenario import Scenario
 from hiersched.study.statistics import mean_interval
 
@@ -107,10 +108,11 @@ GAIN_METHODS = {
 def policy_look(policy: str, scenario: Scenario | None = None) -> Look:
     """Return how a policy is drawn, the same in every figure.
 
-    A rule, or a learner or policy of the scenario; without one the only learner is ``ddpg``.
+    A rule, or a learner or policy of the scenario; without one the only learner is ``ddpg``. The
+    first policy of each rule of `TASK_RULES` has that rule's look under its own name.
     """
     learners = ["ddpg"] if scenario is None else list(scenario.learned)
-    own = [] if scenario is None else list(scenario.policies)
+    own = {} if scenario is None else scenario.policies
     if policy in learners:
         first, *others = policy.split("_")
         text = " ".join([first.upper() if first in ALGORITHM_NAMES else first, *others])
@@ -119,7 +121,14 @@ def policy_look(policy: str, scenario: Scenario | None = None) -> Look:
             return Look(f"DRL ({text})", _LEARNED_COLOR, "-", "o")
         return Look(text, *_LEARNER_LOOKS[(place - 1) % len(_LEARNER_LOOKS)])
     if policy in own:
-        return Look(policy.replace("_", " "), *_OWN_LOOKS[own.index(policy) % len(_OWN_LOOKS)])
+        kinds = [getattr(entry, "model", None) for entry in own.values()]
+        place = list(own).index(policy)
+        rule = kinds[place]
+        if rule in TASK_RULES and rule not in kinds[:place]:
+            _, *look = RULES[rule].look  # type: ignore[attr-defined]
+        else:
+            look = list(_OWN_LOOKS[place % len(_OWN_LOOKS)])
+        return Look(policy.replace("_", " "), *look)
     return _EXACT if policy == EXACT else RULES[policy].look  # type: ignore[attr-defined]
 
 
