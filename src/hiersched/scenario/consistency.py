@@ -494,6 +494,12 @@ def _task_study(scenario: Scenario) -> list[str]:
             for key in cell.values
             if key.partition(".")[0] not in TASK_SECTIONS or key == "robot.reference_file"
         ]
+        for key, bounds in (
+            ("expected_rms", cell.expected_rms),
+            ("expected_p99", cell.expected_p99),
+        ):
+            if bounds is not None and not bounds[0] < bounds[1]:
+                faults.append(f"{place}.{key} = {list(bounds)}: the least first")
         if cell.families != "all":
             faults += _once(f"{place}.families", cell.families, "family")
             faults += [

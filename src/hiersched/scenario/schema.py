@@ -261,11 +261,17 @@ class Family(_Strict):
 
 @dataclass(frozen=True, kw_only=True)
 class TaskCell(_Strict):
-    """Values of dotted keys, the families that run there, and whether with curves over knobs."""
+    """Values of dotted keys, the families that run there, and whether with curves over knobs.
+
+    `expected_rms` and `expected_p99` are ranges for the ratio of the tracking errors of the first
+    family that knows the task and the best that does not: fixed before a run, printed beside it.
+    """
 
     values: Mapping[str, Any] = field(hash=False)
     families: Literal["all"] | Annotated[tuple[PolicyName, ...], NonEmpty] = "all"
     pareto: bool = False
+    expected_rms: Range | None = None
+    expected_p99: Range | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -138,6 +138,11 @@ class Study:
         return read_gains(path, variant)
 
     @cached_property
+    def task(self) -> pd.DataFrame:
+        """Runs of the study of the task: table ``task`` of `measure`."""
+        return self.measures("task")
+
+    @cached_property
     def tunings(self) -> dict[str, dict[str, Any]]:
         """Cell of the study of the task -> the choice of its knobs: see `experiments.tune`."""
         cells = self.scenario.task_study.cells
