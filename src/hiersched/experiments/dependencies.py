@@ -223,7 +223,7 @@ def tune_values(scenario: Scenario, experiment: Experiment) -> dict[str, Any]:
         "families": {name: asdict(family) for name, family in families.items()},
         "seeds": study.design_seeds,
         "worlds": [study.warmup_s, study.duration_s],
-        "limits": [study.embb_share, study.embb_late_excess],
+        "limits": [study.embb_share, study.embb_late_excess, study.cells[cell].bound_late],
     }
 
 

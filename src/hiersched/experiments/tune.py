@@ -2,10 +2,11 @@
 
 Every rule has a knob by which it favours URLLC against eMBB users, so rules compare only where eMBB
 users get as much. A knob keeps the limit where the eMBB throughput is the share
-`task_study.embb_share` or more of that of drift plus penalty at knob 1, in the same worlds. Where
-waiting set-points are superseded URLLC users need less than is there and throughput binds nothing:
-then the share of late eMBB packets may also exceed that of drift plus penalty by
-`task_study.embb_late_excess` at most. Of the knobs that keep the limit the one with the least mean
+`task_study.embb_share` or more of that of drift plus penalty at knob 1, in the same worlds. Where a
+cell bounds lateness too (`bound_late`), the share of late eMBB packets may exceed that of drift
+plus penalty by `task_study.embb_late_excess` at most: where waiting set-points are superseded URLLC
+users need less than is there, and throughput binds nothing.
+Of the knobs that keep the limit the one with the least mean
 logarithm of the tracking error's root mean square is taken: the last before the limit where more
 favour lowers the error, else the best one inside the range, which is widened while the best lies at
 its end.
@@ -15,7 +16,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -94,30 +95,51 @@ class TuningError(InputError, ValueError):
 def choose_knob(evaluate: Callable[[float], Tried], least: float, greatest: float) -> Choice:
     """Search the knob of `Tried.order`'s least value.
 
-    A grid over the range comes first. Then the gaps beside the best knob are halved, in ratios,
-    until they are small: that is a bisection on the limit where the best knob is the last that
-    keeps it. At an end of what was tried the range is widened instead.
+    A grid over the range comes first. While the best knob is at an end of what was tried, the range
+    is widened there. Then the gaps beside the best knob are halved, in ratios, until they are
+    small: that is a bisection on the limit where the best knob is the last that keeps it.
     """
     count = math.ceil(math.log(greatest / least) / math.log(GRID_RATIO) - 1e-9) + 1
     tried = {float(k): evaluate(float(k)) for k in np.geomspace(least, greatest, count)}
     widest = least / GRID_RATIO**WIDENINGS, greatest * GRID_RATIO**WIDENINGS
     while True:
         knobs = sorted(tried)
-        best = min(tried.values(), key=lambda one: one.order)
-        assert best.knob is not None
-        place, new = knobs.index(best.knob), []
-        for beside, step in ((place - 1, 1.0 / GRID_RATIO), (place + 1, GRID_RATIO)):
-            if 0 <= beside < len(knobs):
-                ratio = max(knobs[beside] / best.knob, best.knob / knobs[beside])
-                new += [math.sqrt(best.knob * knobs[beside])] if ratio > PRECISION else []
-            else:
-                wider = best.knob * step
-                inside = widest[0] * (1 - 1e-9) <= wider <= widest[1] * (1 + 1e-9)
-                new += [wider] if inside else []
+        place = min(range(len(knobs)), key=lambda k: tried[knobs[k]].order)
+        best = knobs[place]
+        ends = {0: 1.0 / GRID_RATIO, len(knobs) - 1: GRID_RATIO}
+        wider = best * ends.get(place, math.inf)
+        if widest[0] * (1.0 - 1e-9) <= wider <= widest[1] * (1.0 + 1e-9):
+            new = [wider]
+        else:
+            new = [math.sqrt(best * knob) for knob in _gaps(tried, knobs, place)]
         if not new:
             edge = {0: "least", len(knobs) - 1: "greatest"}.get(place, "")
-            return Choice(best=best, edge=edge, tried=tuple(tried[knob] for knob in knobs))
+            return Choice(best=tried[best], edge=edge, tried=tuple(tried[k] for k in knobs))
         tried |= {knob: evaluate(knob) for knob in new}
+
+
+def _gaps(tried: Mapping[float, Tried], knobs: Sequence[float], place: int) -> list[float]:
+    """Return the neighbours of the best knob between which and it a better one may lie.
+
+    On the far side of a limit there is none where the error falls all the way up to it.
+    """
+    found = []
+    for step in (-1, 1):
+        ahead, back = place + step, place - step
+        if not 0 <= ahead < len(knobs) or _ratio(knobs[ahead], knobs[place]) <= PRECISION:
+            continue
+        at_limit = 0 <= back < len(knobs) and not tried[knobs[back]].keeps_limit
+        beyond = place + 2 * step
+        falls = 0 <= beyond < len(knobs) and (
+            tried[knobs[beyond]].order > tried[knobs[ahead]].order > tried[knobs[place]].order
+        )
+        if not (at_limit and falls):
+            found.append(knobs[ahead])
+    return found
+
+
+def _ratio(a: float, b: float) -> float:
+    return max(a / b, b / a)
 
 
 def tune_cell(scenario: Scenario, results: Path, cell: str, measure: Measure) -> None:
@@ -151,8 +173,8 @@ def tune_cell(scenario: Scenario, results: Path, cell: str, measure: Measure) ->
     reference = find_policy(scenario, REFERENCE)
     assert isinstance(reference, Rule)
     found = run(reference)
-    superseded = base.robot.superseding != "none"
-    most_late = found["embb_late_share"] + study.embb_late_excess if superseded else None
+    bounded = study.cells[cell].bound_late
+    most_late = found["embb_late_share"] + study.embb_late_excess if bounded else None
 
     def tried(rule: Rule, knob: float | None) -> Tried:
         own = run(rule if knob is None else with_knob(rule, knob))

@@ -263,12 +263,15 @@ class Family(_Strict):
 class TaskCell(_Strict):
     """Values of dotted keys, the families that run there, and whether with curves over knobs.
 
+    With `bound_late` knobs keep the lateness of eMBB packets as well as their throughput.
+
     `expected_rms` and `expected_p99` are ranges for the ratio of the tracking errors of the first
     family that knows the task and the best that does not: fixed before a run, printed beside it.
     """
 
     values: Mapping[str, Any] = field(hash=False)
     families: Literal["all"] | Annotated[tuple[PolicyName, ...], NonEmpty] = "all"
+    bound_late: bool = False
     pareto: bool = False
     expected_rms: Range | None = None
     expected_p99: Range | None = None

@@ -84,10 +84,14 @@ def lines(scenario: Scenario) -> dict[str, list[str]]:
 
     That is what the names of the cells begin with.
     """
+    cells = scenario.task_study.cells
     found: dict[str, list[str]] = {}
-    for cell in scenario.task_study.cells:
+    for cell in cells:
+        kind = line_of(scenario, cell), cells[cell].bound_late
         same = (
-            n for n, own in found.items() if line_of(scenario, own[0]) == line_of(scenario, cell)
+            name
+            for name, own in found.items()
+            if (line_of(scenario, own[0]), cells[own[0]].bound_late) == kind
         )
         found.setdefault(next(same, cell.rpartition("_")[0] or cell), []).append(cell)
     return {name: sorted(own, key=lambda c: load_of(scenario, c)) for name, own in found.items()}

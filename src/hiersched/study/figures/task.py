@@ -57,7 +57,7 @@ def family_look(scenario: Scenario, policy: str) -> Look:
         look = style.policy_look(policy, scenario)
         return look._replace(label=f"{look.label}, knob 1") if policy == REFERENCE else look
     model = families[policy].policy.model
-    look = RULES[model].look  # type: ignore[attr-defined]
+    look: Look = RULES[model].look  # type: ignore[attr-defined]
     first = next(name for name, family in families.items() if family.policy.model == model)
     return look if policy == first else look._replace(label=policy.replace("_", " "))
 

@@ -212,7 +212,8 @@ def task_superseding(study: Study) -> pd.DataFrame:
         if own is None or without is None:
             continue
         a, b = runs_of(study, cell, own), runs_of(study, other, without)
-        row = {"cell": cell, "policy": own, "without": other, "policy_without": without}
+        row: dict[str, Any] = {"cell": cell, "policy": own}
+        row |= {"without": other, "policy_without": without}
         for short, measure in RATIOS.items():
             row |= paired_log_ratio(*paired(a, b, measure)).columns(f"{short}_ratio")
         shares = ("urllc_on_time_share", "superseded_share", "embb_late_share")
@@ -224,7 +225,7 @@ def _superseding_pairs(scenario: Any) -> dict[str, str]:
     """Return cells with superseding, each with that which differs in nothing else."""
     key, cells = "robot.superseding", scenario.task_study.cells
     bare = {c: {k: v for k, v in own.values.items() if k != key} for c, own in cells.items()}
-    plain = [cell for cell, own in cells.items() if key not in own.values]
+    plain = [c for c, own in cells.items() if key not in own.values and not own.bound_late]
     pairs = {}
     for cell, own in cells.items():
         same = [other for other in plain if bare[other] == bare[cell]]

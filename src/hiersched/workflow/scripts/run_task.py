@@ -5,12 +5,12 @@ from hiersched.experiments.job import job
 from hiersched.experiments.learned import learned_policies
 from hiersched.experiments.run import run_experiment
 from hiersched.experiments.tune import tuned_scenario
-from hiersched.experiments.worlds import untrained_policies
+from hiersched.experiments.worlds import PolicySource, untrained_policies
 from hiersched.study.task_metrics import task_row
 
 if __name__ == "__main__":
     scenario, results, given = job(__doc__, "experiment", "group")
-    source = untrained_policies
+    source: PolicySource = untrained_policies
     if given.group in scenario.learned:
         weights = [results / name for name in files.policy_files(scenario, given.group)]
         source = learned_policies(weights)
