@@ -38,12 +38,15 @@ def library(slots, deadline_slots):
 class Constants(NamedTuple):
     deadline_slots: Any
     slot_s: float
+    num_urllc: int
+    superseding: int
 
 
 class State(NamedTuple):
     slot: Any
     backlog_packets: Any
     hol_delay_s: Any
+    held_step: Any
 
 
 class Slot(NamedTuple):
@@ -53,6 +56,7 @@ class Slot(NamedTuple):
     delay_s: Any
     due_packets: Any
     late_packets: Any
+    superseded_packets: Any
 
 
 @kernel()
@@ -60,14 +64,33 @@ def serve_world(me, constants, state, slot, env):
     serve(me, constants, state, slot, env)
 
 
-def library_users(users, deadlines):
-    """The same for users side by side in a world beside another, who all have as many slots."""
+STEPS = 4
+
+
+def library_users(users, deadlines, superseding=0, latency=None):
+    """The same for users side by side in a world beside another, who all have as many slots.
+
+    With a core latency [slots], a multiple of an eighth, behind each row the packets that were
+    superseded and the slots of the set-points in force.
+    """
     count, num_slots = len(users), len(users[0])
-    words = FifoWords(np.zeros((2, num_slots + 1, count)), np.zeros((2, count), np.int64))
-    state = State(np.zeros(2, np.int64), np.zeros((2, count)), np.zeros((2, count)))
+    late = math.ceil((latency or 0) * STEPS)
+    tracked = 0 if latency is None else count
+    words = FifoWords(
+        arrived=np.zeros((2, num_slots + 1, count)),
+        head=np.zeros((2, count), np.int64),
+        completed=np.zeros((2, tracked, late + STEPS), np.int64),
+        late_steps=late,
+        steps_per_slot=STEPS,
+        phase=late / STEPS - float(latency or 0),
+    )
+    held = np.zeros((2, count, STEPS), np.int64)
+    state = State(np.zeros(2, np.int64), np.zeros((2, count)), np.zeros((2, count)), held)
     of_user, whole = np.zeros(count), np.zeros(count, np.uint32)
-    slot = Slot(of_user, whole, of_user.copy(), of_user.copy(), whole.copy(), whole.copy())
-    constants = Constants(np.array(deadlines, float), 1.0)
+    slot = Slot(
+        of_user, whole, *(x.copy() for x in (of_user, of_user, whole, whole, np.ones_like(whole)))
+    )
+    constants = Constants(np.array(deadlines, float), 1.0, count, superseding)
     pointers = [Pointer(part) for part in (words, constants, state, slot)]
     rows = [[] for _ in users]
     for now in range(num_slots):
@@ -78,10 +101,72 @@ def library_users(users, deadlines):
         of_slot = (state.backlog_packets[1], slot.delay_s, state.hol_delay_s[1])
         for user in range(count):
             fields = (*of_slot, slot.due_packets, slot.late_packets)
-            rows[user].append(tuple(field[user] for field in fields))
-    for part in (*words, state.backlog_packets, state.hol_delay_s):
+            row = tuple(field[user] for field in fields)
+            if latency is not None:
+                in_force = (held[1, user] // STEPS).tolist()
+                row = (*row, int(slot.superseded_packets[user]), in_force)
+            rows[user].append(row)
+    arrays = (words.arrived, words.head, words.completed, held)
+    for part in (*arrays, state.backlog_packets, state.hol_delay_s):
         assert not part[0].any()  # the other world
     return rows
+
+
+def set_point_twin(slots, superseding, latency):
+    """Backlog, packets superseded and set-points in force, packet by packet, in fractions."""
+    packets, rows = [], []  # [arrival slot, work left, completion time or None]
+    for slot, (arrivals, service) in enumerate(slots):
+        waiting = [p for p in packets if p[2] is None]
+        dropped = []
+        if arrivals and superseding:
+            begun = [p for p in packets if p[1] < 1]
+            in_service = {p[0] for p in waiting if any(q[0] == p[0] for q in begun)}
+            for p in waiting:
+                stays = p[0] in in_service if superseding == 2 else p[1] < 1
+                dropped += [] if stays else [p]
+            packets = [p for p in packets if all(p is not d for d in dropped)]
+        packets += [[slot, Fraction(1), None] for _ in range(arrivals)]
+        budget = mu = Fraction(service)
+        for packet in packets:
+            if packet[2] is None and budget > 0:
+                work = min(packet[1], budget)
+                packet[1] -= work
+                budget -= work
+                if packet[1] == 0:
+                    packet[2] = slot + (mu - budget) / mu
+        in_force = []
+        for step in range(STEPS):
+            now = slot + Fraction(step, STEPS) - latency
+            done = [p for p in packets if p[2] is not None and p[2] <= now]
+            if superseding == 2:
+                whole = [q for q in packets if q[2] is None or q[2] > now]
+                done = [p for p in done if all(q[0] != p[0] for q in whole)]
+            in_force.append(max((p[0] for p in done), default=0))
+        rows.append((sum(p[1] for p in packets if p[2] is None), len(dropped), in_force))
+    return rows
+
+
+@settings(max_examples=300)
+@given(SLOTS, st.integers(0, 2), st.integers(0, 12).map(lambda eighths: Fraction(eighths, 8)))
+def test_set_points_in_force_are_those_of_single_packets(slots, superseding, latency):
+    (rows,) = library_users([slots], [3.0], superseding, latency)
+    for got, expected in zip(rows, set_point_twin(slots, superseding, latency), strict=True):
+        assert (got[0], got[5], got[6]) == expected
+
+
+def test_a_new_set_point_replaces_those_that_wait():
+    """Three packets, a service of 1.5, then two packets more and services of 1.
+
+    By packets: the second is in service, the third is dropped; then 0.5 + 2 - 1. By batches: the
+    first batch is in service as a whole, nothing is dropped until slot 2 brings another.
+    """
+    slots = [(3, 1.5), (2, 1.0), (1, 1.0)]
+    (packet,) = library_users([slots], [3.0], 1, Fraction(0))
+    (batch,) = library_users([slots], [3.0], 2, Fraction(0))
+    assert [(row[0], row[5]) for row in packet] == [(1.5, 0), (1.5, 1), (0.5, 1)]
+    assert [(row[0], row[5]) for row in batch] == [(1.5, 0), (2.5, 0), (0.5, 2)]
+    # The second packet is whole at 1.5: a newer one of the same slot does not count as newer.
+    assert [row[6] for row in packet] == [[0] * 4, [0] * 4, [0, 0, 1, 1]]
 
 
 def twin(slots, deadline_slots):

@@ -428,11 +428,11 @@ def test_policies_tell_apart_in_grey() -> None:
 
 def test_rules_by_the_task_have_their_own_look(smoke_scenario: Scenario) -> None:
     """The first policy of each; a second one has that of its place, as other policies have."""
-    urgency, pf = RULES["urgency"](), RULES["pf"]()  # type: ignore[call-arg]
+    urgency, pf = RULES["urgency"](), RULES["pf"]()
     policies = {"fast": urgency, "loud": pf, "faster_still": urgency}
     scenario = replace(smoke_scenario, policies=policies)
     looks = {name: policy_look(name, scenario) for name in policies}
-    assert looks["fast"] == RULES["urgency"].look._replace(label="fast")  # type: ignore[attr-defined]
+    assert looks["fast"] == RULES["urgency"].look._replace(label="fast")
     assert looks["faster_still"].label == "faster still"
     assert len({look.color for look in looks.values()}) == 3
 

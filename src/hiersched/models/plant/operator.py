@@ -153,8 +153,12 @@ def draw_reaches(
         length = _between(me.reach[1], _uniform(key, reach, _LENGTH, operator, scratch))
         pause = _between(me.reach[2], _uniform(key, reach, _PAUSE, operator, scratch))
         turn = me.reach_turn_rad * (2.0 * _uniform(key, reach, _TURN, operator, scratch) - 1.0)
-        count = max(1, np.int64(np.rint(duration / step_s)))
-        for step in range(min(count, num_steps - at)):
+        count = np.int64(np.rint(duration / step_s))
+        if count < 1:
+            count = np.int64(1)
+        for step in range(count):
+            if at + step >= num_steps:
+                break
             s = (step + 0.5) / count
             rate = 30.0 / (count * me.step_s) * (s * s - 2.0 * s * s * s + s * s * s * s)
             speed[at + step] = me.scale[operator] * length * rate

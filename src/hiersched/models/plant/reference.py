@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
-    from hiersched.scenario.schema import Robot
+    from hiersched.scenario.schema import Reference, Robot
 
 FloatArray = NDArray[np.float64]
 
@@ -84,7 +84,7 @@ _PATHS: dict[str, tuple[Callable[[Robot], float], Callable[[Robot, FloatArray], 
 class Task:
     """What an operator drives: a reference by name, with its own scale and pace."""
 
-    reference: str
+    reference: Reference
     scale: float
     pace: float
 
@@ -110,7 +110,7 @@ def tasks_of(robot: Robot, num_robots: int) -> tuple[Task, ...]:
     )
 
 
-def references_of(robot: Robot) -> tuple[str, ...]:
+def references_of(robot: Robot) -> tuple[Reference, ...]:
     """Return the references of a scenario's robots, each once."""
     value = robot.reference
     return tuple(dict.fromkeys(value if isinstance(value, tuple) else (value,)))
