@@ -78,7 +78,7 @@ def draw_pareto(study: Study) -> Figure:
     cells = list(dict.fromkeys(table["cell"]))
     columns = min(3, len(cells))
     rows = -(-len(cells) // columns)
-    figure, axes = style.new_figure(columns, rows=rows, height_in=0.9 + 2.6 * rows, squeeze=False)
+    figure, axes = style.new_figure(columns, rows=rows, height_in=0.9 + 2.6 * rows)
     limit = scenario.task_study.embb_share
     for panel, cell in zip(axes, cells, strict=False):
         own = table[table["cell"] == cell]
