@@ -38,7 +38,11 @@ for s in SCENARIOS:
                     kernels=KERNELS,
                     gains=gain_files(s, experiment_designs(s, e)),
                     policies=(inside(s, files.policy_files(s, group)) if group in s.learned else []),
-                    knobs=(inside(s, [files.tuning_file(cell_of(e))]) if tuned and group not in s.learned else []),
+                    knobs=(
+                        inside(s, [files.tuning_file(cell_of(e))])
+                        if tuned and group not in s.learned
+                        else []
+                    ),
                 output:
                     whole(s, files.group_files(s, e, group)),
                 log:
