@@ -70,7 +70,10 @@ class Tried:
 
     @property
     def order(self) -> tuple[bool, float, float]:
-        """What is least for the best knob: without one that keeps the limit, the nearest to it."""
+        """What is least for the best knob: without one that keeps the limit, the nearest to it.
+
+        Of equal ones it is the one next to 1.
+        """
         first = self.tracking_rms_cm if self.keeps_limit else -self.embb_share
         return not self.keeps_limit, first, abs(math.log(self.knob or 1.0))
 
