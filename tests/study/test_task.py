@@ -50,6 +50,7 @@ task_study:
   cells:
     load_100: {values: {traffic.load: 1.0}, pareto: true, expected_rms: [0.4, 0.6]}
     load_110: {values: {traffic.load: 1.1}}
+    timely_100: {values: {traffic.load: 1.0}, bound_late: true}
     batch_100: {values: {traffic.load: 1.0, robot.superseding: batch}, bound_late: true}
 """
 WORLDS = (61, 62, 63)
@@ -71,7 +72,7 @@ def scenario(tmp_path_factory: pytest.TempPathFactory) -> Scenario:
 
 
 def planted_runs(policy: str, cell: str, point: str, error_cm: float) -> list[dict[str, object]]:
-    factor = {"load_100": 1.0, "load_110": 3.0, "batch_100": 0.5}[cell]
+    factor = {"load_100": 1.0, "load_110": 3.0, "timely_100": 1.0, "batch_100": 0.5}[cell]
     rows = []
     for policy_seed in (1, 2) if policy == "ddpg" else (None,):
         for place, seed in enumerate(WORLDS):
@@ -194,7 +195,7 @@ def test_kinds(scenario: Scenario) -> None:
         *("control-aware", "learned", "other"),
     ]
     assert first_aware(scenario, "load_110") == "urgency"
-    assert list(lines(scenario)) == ["load", "batch"]
+    assert list(lines(scenario)) == ["load", "timely", "batch"]
     assert lines(scenario)["load"] == ["load_100", "load_110"]
     assert family_look(scenario, "calm").label == "calm"
 
@@ -218,7 +219,7 @@ def test_gains_by_hand(study: Study) -> None:
     assert row["rms_over_blind_hi"] == pytest.approx(math.exp(ratios.mean() + half))
     p = stats.ttest_1samp(ratios, 0.0).pvalue
     assert row["rms_over_blind_p"] == pytest.approx(p)
-    assert row["rms_over_blind_p_holm"] == pytest.approx(min(1.0, 3 * p))  # three cells
+    assert row["rms_over_blind_p_holm"] == pytest.approx(min(1.0, 4 * p))  # four cells
     assert (row["blind"], row["classical"], row["kind"]) == (
         *("drift_k", "drift_k", "control-aware"),
     )
@@ -242,7 +243,7 @@ def test_expectations() -> None:
 
 def test_knobs_curves_and_superseding(study: Study) -> None:
     knobs = task_knobs(study)
-    assert len(knobs) == 15
+    assert len(knobs) == 20
     assert knobs["least_embb_share"].unique() == [0.995]
     curves = task_pareto(study)
     urgency = curves[curves["policy"] == "urgency"]
@@ -251,14 +252,14 @@ def test_knobs_curves_and_superseding(study: Study) -> None:
     (learned,) = curves[curves["policy"] == "ddpg"].to_dict("records")
     assert learned["tracking_rms_cm"] == pytest.approx(1.2)
     (row,) = task_superseding(study).to_dict("records")
-    assert (row["cell"], row["without"], row["policy"]) == ("batch_100", "load_100", "drift_k")
+    assert (row["cell"], row["without"], row["policy"]) == ("batch_100", "timely_100", "drift_k")
     assert row["rms_ratio"] == pytest.approx(0.5)
 
 
 def test_the_claim_is_of_every_cell(study: Study) -> None:
     judged = task_improves(study)
     assert (judged.base.value, judged.base.axis) == ("load_100", "")
-    assert [c.value for c in judged.others] == ["load_110", "batch_100"]
+    assert [c.value for c in judged.others] == ["load_110", "timely_100", "batch_100"]
     assert judged.base.outcome == "holds"
     rms, _, embb = judged.base.statements
     assert rms.interval.mean == pytest.approx(math.exp(np.log([0.5, 0.55, 0.6]).mean()))

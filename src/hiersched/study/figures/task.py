@@ -42,10 +42,11 @@ _LINES = (
     Look("", "#A6761D", (0, (8, 2)), "P"),
     Look("", "#56B4E9", (0, (2, 1)), "X"),
 )
+_REFERENCE = Look("reference", "#000000", "none", "o")
 _PANELS = (
     ("channel and traffic", ("radio", "traffic", "objective")),
     ("robots and operators", ("robot", "control")),
-    ("superseding", ("robot.superseding",)),
+    ("superseding, video in time", ("robot.superseding", "bound_late")),
 )
 """Titles of the panels of gains and the keys whose cells they show, the last that fits."""
 
@@ -54,8 +55,7 @@ def family_look(scenario: Scenario, policy: str) -> Look:
     """Return how a policy of a cell is drawn: a family as its rule."""
     families = scenario.task_study.families
     if policy not in families:
-        look = style.policy_look(policy, scenario)
-        return look._replace(label=f"{look.label}, knob 1") if policy == REFERENCE else look
+        return _REFERENCE if policy == REFERENCE else style.policy_look(policy, scenario)
     model = families[policy].policy.model
     look: Look = RULES[model].look  # type: ignore[attr-defined]
     first = next(name for name, family in families.items() if family.policy.model == model)
@@ -177,7 +177,8 @@ def _panels(scenario: Scenario) -> list[tuple[str, dict[str, list[str]]]]:
     plain: dict[str, list[str]] = {}
     found: list[dict[str, list[str]]] = [{} for _ in _PANELS]
     for name, cells in lines(scenario).items():
-        keys = line_of(scenario, cells[0])
+        is_bounded = scenario.task_study.cells[cells[0]].bound_late
+        keys = [*line_of(scenario, cells[0]), *(["bound_late"] if is_bounded else [])]
         fits = [
             number
             for number, (_, parts) in enumerate(_PANELS)
@@ -236,10 +237,10 @@ def draw_traces(study: Study) -> Figure:
     labels = ("set-point\nspeed [m/s]", "wait [ms]", "error [cm]", "PRBs")
     for label, panel in zip(labels, axes[:: max(1, len(shown))], strict=True):
         panel.set_ylabel(label)
-    axes[3 * max(1, len(shown))].legend(fontsize=6.5, loc="upper left", ncols=3)
+    style.shared_legend(figure, axes[-1])
     style.caption(
         figure,
-        f"First held-out world of {cell}. Speed, wait of the oldest packet and error of the robot "
+        f"First held-out world of the cell {cell}. Speed, wait of the oldest packet and error of the robot "
         f"whose set-point moves fastest on average; PRBs, means over {SMOOTHED_SLOTS} slots, of "
         f"robots that move (faster than {MOVING_MPS:g} m/s), of those at rest, and of eMBB users. "
         "The grey areas: that robot moves.",
@@ -269,9 +270,10 @@ def _draw_trace(panels: list[Axes], own: pd.DataFrame, scenario: Scenario) -> No
     kernel = np.ones(SMOOTHED_SLOTS) / SMOOTHED_SLOTS
     looks = (_LINES[2], _LINES[1], style.SLICES["embb"])
     for (name, values), look in zip(total.items(), looks, strict=True):
-        smooth = np.convolve(values, kernel, mode="same")
+        smooth = np.convolve(values, kernel, mode="valid")
+        middle = time_s[: len(smooth)] + 0.5 * SMOOTHED_SLOTS * scenario.radio.slot_s
         panels[3].plot(
-            time_s, smooth, color=look.color, linestyle=look.dashes, linewidth=1.1, label=name
+            middle, smooth, color=look.color, linestyle=look.dashes, linewidth=1.1, label=name
         )
     for panel in panels:
         panel.fill_between(
@@ -285,3 +287,4 @@ def _draw_trace(panels: list[Axes], own: pd.DataFrame, scenario: Scenario) -> No
             zorder=0,
         )
     panels[3].set_xlabel("time behind the warm-up [s]")
+    panels[3].set_xlim(0.0, time_s[-1])

@@ -199,8 +199,8 @@ def task_pareto(study: Study) -> pd.DataFrame:
     "task_superseding",
     title="What superseding alone is worth",
     note="The best family that knows nothing of the task where new set-points replace those that "
-    "wait, against the best such family where they do not, each at its own tuned knob in the same "
-    f"worlds. {RATIO_NOTE}",
+    "wait, against the best such family where they do not, each at its own tuned knob under the "
+    f"same limits in the same worlds. {RATIO_NOTE}",
     reads=("task", "tunings"),
     when=lambda scenario: bool(_superseding_pairs(scenario)),
 )
@@ -225,12 +225,13 @@ def _superseding_pairs(scenario: Any) -> dict[str, str]:
     """Return cells with superseding, each with that which differs in nothing else."""
     key, cells = "robot.superseding", scenario.task_study.cells
     bare = {c: {k: v for k, v in own.values.items() if k != key} for c, own in cells.items()}
-    plain = [c for c, own in cells.items() if key not in own.values and not own.bound_late]
+    plain = [cell for cell, own in cells.items() if key not in own.values]
     pairs = {}
     for cell, own in cells.items():
-        same = [other for other in plain if bare[other] == bare[cell]]
-        if own.values.get(key, "none") != "none" and same:
-            pairs[cell] = same[0]
+        same = (c for c in plain if bare[c] == bare[cell] and cells[c].bound_late == own.bound_late)
+        other = next(same, None)
+        if own.values.get(key, "none") != "none" and other is not None:
+            pairs[cell] = other
     return pairs
 
 
