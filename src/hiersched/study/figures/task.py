@@ -240,10 +240,10 @@ def draw_traces(study: Study) -> Figure:
     style.shared_legend(figure, axes[-1])
     style.caption(
         figure,
-        f"First held-out world of the cell {cell}. Speed, wait of the oldest packet and error of the robot "
-        f"whose set-point moves fastest on average; PRBs, means over {SMOOTHED_SLOTS} slots, of "
-        f"robots that move (faster than {MOVING_MPS:g} m/s), of those at rest, and of eMBB users. "
-        "The grey areas: that robot moves.",
+        f"First held-out world of the cell {cell}. Speed, wait of the oldest packet and error of "
+        "the robot whose set-point moves fastest on average; PRBs, means over "
+        f"{SMOOTHED_SLOTS} slots, of robots that move (faster than {MOVING_MPS:g} m/s), of those "
+        "at rest, and of eMBB users. The grey areas: that robot moves.",
     )
     return figure
 
