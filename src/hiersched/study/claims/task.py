@@ -14,7 +14,7 @@ EQUAL = 0.01
 
 
 @claim(
-    11,
+    0,
     reference="title",
     paper="allocation that knows the task improves the task at equal video throughput",
     measured="Tracking errors of the first rule that knows the task over those of the best rule "
