@@ -1,6 +1,7 @@
 # hiersched: everything a reader needs, from a fresh clone with Python, make and git.
 #
 #   make paper              every figure and table of the paper
+#   make teleop             the study of what knowing the task is worth
 #   make test               the tests
 #   make VENV=/tmp/v test   the same in another virtual environment
 #   make PYTHON=python3.12  another interpreter
@@ -21,7 +22,7 @@ RUN := env PATH="$(BIN):$$PATH" OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: oldest help install paper smoke readme docs gains test nightly mutants lint format bench bench-short clean distclean
+.PHONY: oldest help install paper smoke readme docs gains test nightly mutants lint format bench bench-short clean distclean teleop
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-11s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -42,6 +43,9 @@ paper: $(STAMP)  ## every figure and table of the paper (results/paper)
 
 smoke: $(STAMP)  ## the same pipeline, small enough for a few minutes (results/smoke)
 	$(RUN) snakemake --cores $(CORES) --config scenarios='[smoke]'
+
+teleop: $(STAMP)  ## what knowing the robots' tasks is worth, half an hour (results/teleop_fading)
+	$(RUN) snakemake --cores $(CORES) --config scenarios='[teleop_fading]'
 
 readme: $(STAMP)  ## write the verdicts of results/paper into the README
 	$(RUN) python src/hiersched/workflow/scripts/readme.py --results results/paper

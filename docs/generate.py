@@ -231,7 +231,7 @@ def study_files() -> str:
         "scenario": SimpleNamespace(
             learned={"<learner>": SimpleNamespace(seeds=("<N>",))},
         ),
-        **{name: f"<{name}>" for name in ("design", "learner", "policy", "table", "group")},
+        **{name: f"<{name}>" for name in ("design", "learner", "policy", "table", "group", "cell")},
         "seed": "<N>",
     }
     rows = []
@@ -279,7 +279,7 @@ def attribute_docs(body: ast.Module | ast.ClassDef) -> dict[str, str]:
 @block
 def measures() -> str:
     """Return a table of the tables of measures, from the docstring that defines them."""
-    named = {*measure.RUN_TABLES, *measure.GAIN_TABLES, "episodes"}
+    named = {*measure.RUN_TABLES, *measure.TASK_TABLES, *measure.GAIN_TABLES, "episodes"}
     said = re.findall(r"^(\w+)\n((?:    .*\n)+)", f"{measure.__doc__}\n", re.MULTILINE)
     if {name for name, _ in said} != named:
         raise ValueError(f"{measure.__name__}: its docstring has not the tables {sorted(named)}")

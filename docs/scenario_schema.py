@@ -65,6 +65,7 @@ def scenario_schema() -> Json:
         "type": "object",
         "additionalProperties": {"anyOf": [sections["learning"], {"type": "null"}]},
     }
+    definitions["Family"]["properties"]["policy"] = _policy()
     definitions["Learning"]["properties"]["algorithm"]["examples"] = list(BUILT_IN_ALGORITHMS)
     definitions["Sweeps"]["properties"]["axes"] = _axes(schema)
     for note in parameter_notes():

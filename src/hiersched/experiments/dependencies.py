@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
-from dataclasses import fields
+from dataclasses import asdict, fields
 from importlib.metadata import packages_distributions, version
 from pathlib import Path
 from types import ModuleType
@@ -19,7 +19,14 @@ from hiersched.core.registry import ALGORITHMS, BUILT_IN_ALGORITHMS, registered_
 from hiersched.core.seam import outside_files
 from hiersched.experiments.fingerprint import code_fingerprint
 from hiersched.experiments.gains import designs
-from hiersched.experiments.points import Experiment, experiments, groups, learner_scenario
+from hiersched.experiments.points import (
+    Experiment,
+    cell_of,
+    experiments,
+    groups,
+    learner_scenario,
+    task_families,
+)
 from hiersched.models.model import SECTIONS
 from hiersched.policies.find import ImportedPolicy
 from hiersched.scenario import Scenario, scenario_to_dict
@@ -203,6 +210,20 @@ def run_values(scenario: Scenario, experiment: Experiment, group: str) -> dict[s
         "worlds": [experiment.warmup_s, experiment.duration_s],
         "logs": [experiment.profile, experiment.full_logs, experiment.full_log_s],
         "policies": sorted(policies),
+    }
+
+
+def tune_values(scenario: Scenario, experiment: Experiment) -> dict[str, Any]:
+    """Pick what the knobs of a cell depend on: its scenario, families and design worlds."""
+    cell = cell_of(experiment)
+    study = scenario.task_study
+    families = task_families(scenario, cell)
+    return {
+        **picked(experiment.points[0].scenario, _SLOT_LOOP),
+        "families": {name: asdict(family) for name, family in families.items()},
+        "seeds": study.design_seeds,
+        "worlds": [study.warmup_s, study.duration_s],
+        "limits": [study.embb_share, study.embb_late_excess, study.cells[cell].bound_late],
     }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hiersched.experiments.points import Experiment, Point, groups, is_crossed
+from hiersched.experiments.points import Experiment, Point, groups, has_unlogged
 from hiersched.scenario import Scenario
 
 SCENARIO = "scenario.yaml"
@@ -66,7 +66,7 @@ def full_log(experiment: Experiment, point: Point, policy: str, seed: int) -> st
 
 
 def crossed_file(experiment: Experiment, point: Point, policy: str) -> str:
-    """Measures of a learner's policies in the worlds in which they are not logged."""
+    """Measures of runs of a policy that were taken as they ran: of those without a log, or all."""
     return f"{runs_folder(experiment, point, policy)}/crossed.parquet"
 
 
@@ -75,8 +75,13 @@ def group_logs(experiment: Experiment, policies: tuple[str, ...]) -> list[str]:
     return [
         run_log(experiment, point, policy, seed)
         for point, policy in experiment.runs(policies)
-        for seed in experiment.seeds
+        for seed in experiment.logged_seeds
     ]
+
+
+def tuning_file(cell: str) -> str:
+    """Knobs of the families of a cell of the study of the task, and how they were chosen."""
+    return f"tune/{cell}.json"
 
 
 def group_files(scenario: Scenario, experiment: Experiment, group: str) -> list[str]:
@@ -86,6 +91,6 @@ def group_files(scenario: Scenario, experiment: Experiment, group: str) -> list[
     for point, policy in experiment.runs(policies):
         full = experiment.seeds[: experiment.full_logs]
         names += [full_log(experiment, point, policy, seed) for seed in full]
-        if is_crossed(scenario, policy):
+        if has_unlogged(scenario, experiment, policy):
             names.append(crossed_file(experiment, point, policy))
     return names

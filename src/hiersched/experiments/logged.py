@@ -24,7 +24,7 @@ from hiersched.simulator import Gains, Simulator
 from hiersched.simulator.gain_source import check_gains
 from hiersched.simulator.loop_gains import loop_gains
 
-STAGES = ("train", "checkpoint", "evaluate", "sweep", "generalise", "gain_study")
+STAGES = ("train", "checkpoint", "evaluate", "sweep", "generalise", "task", "gain_study")
 BATCH_SLOTS = 8192  # what is computed at once: memory for a few dozen megabytes of records
 
 

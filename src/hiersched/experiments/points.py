@@ -18,13 +18,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.core.randomness import STREAM_DELAY, draw_uniforms
+from hiersched.policies.registry import Rule
 from hiersched.scenario import Scenario, ScenarioError, with_values
 from hiersched.scenario.consistency import inconsistencies
-from hiersched.scenario.schema import GainMethod, Users, Worlds, hold_of
+from hiersched.scenario.schema import Family, GainMethod, Users, Worlds, hold_of
 
 Gain = Literal["nominal", "adjusted"]
 Cell: TypeAlias = tuple[int, int, int]
 """URLLC users, eMBB users, PRBs."""
+
+TASK = "task"
+"""Stage of the study of the task, and the beginning of the names of its experiments."""
+TUNED, FLOOR = "tuned", "floor"
+"""Points of its cells: families at their tuned knobs; set-points that are always present."""
+REFERENCE = "drift_plus_penalty"
+"""Whose eMBB throughput its families keep."""
 
 STUDY_PLANTS: dict[GainMethod, Literal["network", "split"]] = {
     "krasovskii": "network",
@@ -111,6 +119,7 @@ class Point:
     values: Mapping[str, Any] = field(default_factory=dict)  # dotted key -> value, of a sweep
     policies: tuple[str, ...] | None = None  # all of the experiment's unless given
     delays: ForcedDelays | None = None  # of the gain study
+    tuned: bool = False  # whether the knobs of its families come from `tune`
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,8 +135,14 @@ class Experiment:
     warmup_s: float  # of every world, and first [s]
     duration_s: float  # behind it [s]
     profile: str  # of the logs
+    logs: int | None = None  # first worlds, which are logged; all are measured as they run
     full_logs: int = 0  # worlds whose beginning is logged in full as well
     full_log_s: float = 0.0  # and how long that is [s]
+
+    @property
+    def logged_seeds(self) -> tuple[int, ...]:
+        """Seeds of the worlds that are logged."""
+        return self.seeds[: self.logs]
 
     @property
     def forced(self) -> bool:
@@ -157,6 +172,7 @@ def experiments(scenario: Scenario) -> dict[str, Experiment]:
         partial(_evaluation, scenario),
         *(partial(_sweep, scenario, name) for name in scenario.sweeps.axes),
         partial(_cells, scenario),
+        *(partial(_task_cell, scenario, name) for name in scenario.task_study.cells),
     ]
     if scenario.gain_study.methods:
         builders += [
@@ -310,6 +326,80 @@ def _spread(offered_mbps: float | tuple[float, ...], count: int) -> float | tupl
     return tuple(sum(each[part : part + len(loads)]) / len(loads) for part in parts)
 
 
+def _task_cell(scenario: Scenario, name: str) -> Experiment:
+    """Return the experiment of a cell of the study of the task.
+
+    Its points: every family at its tuned knob, with the reference and what else runs; the reference
+    with set-points that are always present, the floor of the error; and, for the curves, families
+    at each knob of a grid.
+    """
+    study, cell = scenario.task_study, scenario.task_study.cells[name]
+    where = f"task_study.cells.{name}.values"
+    families = task_families(scenario, name)
+    # What the study consists of is nothing to a run: its logs hold the cell alone.
+    own = replace(scenario, task_study=replace(study, families={}, cells={}, policies=()))
+    base = with_values(own, cell.values, where)
+    points = [
+        Point(
+            value=TUNED,
+            scenario=with_rules(base, {f: family.policy for f, family in families.items()}),
+            policies=(REFERENCE, *families, *study.policies),
+            tuned=True,
+        )
+    ]
+    if base.robot.set_point != "present":
+        present = with_values(base, {"robot.set_point": "present"}, where)
+        points.append(Point(value=FLOOR, scenario=present, policies=(REFERENCE,)))
+    tunable = [f for f, family in families.items() if family.range is not None]
+    for number in range(study.pareto_knobs if cell.pareto and tunable else 0):
+        rules = {
+            f: with_knob(families[f].policy, knob_grid(families[f], study.pareto_knobs)[number])
+            for f in tunable
+        }
+        at_knobs = with_rules(base, rules)
+        points.append(Point(value=f"knob{number}", scenario=at_knobs, policies=tuple(tunable)))
+    return Experiment(
+        name=f"{TASK}_{name}",
+        stage=TASK,
+        axis=f"{TASK}_{name}",
+        points=tuple(points),
+        policies=(REFERENCE, *families, *study.policies),
+        seeds=study.seeds,
+        warmup_s=study.warmup_s,
+        duration_s=study.duration_s,
+        profile=scenario.log.sweep_profile,
+        logs=1,
+    )
+
+
+def cell_of(experiment: Experiment) -> str:
+    """Return the cell of the study of the task that an experiment of it runs in."""
+    return experiment.name.removeprefix(f"{TASK}_")
+
+
+def task_families(scenario: Scenario, cell: str) -> dict[str, Family]:
+    """Return the families that run in a cell of the study of the task, in the study's order."""
+    families, own = scenario.task_study.families, scenario.task_study.cells[cell].families
+    return {name: family for name, family in families.items() if own == "all" or name in own}
+
+
+def with_knob(rule: Rule, knob: float) -> Rule:
+    """Return a rule with another value of its knob."""
+    assert rule.knob is not None
+    return replace(rule, **{rule.knob: knob})  # type: ignore[type-var]  # rules are dataclasses
+
+
+def with_rules(scenario: Scenario, rules: Mapping[str, Rule]) -> Scenario:
+    """Return the scenario with further policies of its own."""
+    return replace(scenario, policies={**scenario.policies, **rules})
+
+
+def knob_grid(family: Family, count: int) -> list[float]:
+    """Return so many knobs over the range of a family, in equal ratios."""
+    assert family.range is not None
+    return [float(knob) for knob in np.geomspace(*family.range, count)]
+
+
 def _forced(
     scenario: Scenario, name: str, axis: str, points: Callable[[Scenario], Iterator[Point]]
 ) -> Experiment:
@@ -459,6 +549,7 @@ def learner_scenario(scenario: Scenario, learner: str) -> Scenario:
         evaluate=own(scenario.evaluate),
         sweeps=replace(own(scenario.sweeps), axes=axes),
         generalise=own(scenario.generalise),
+        task_study=replace(scenario.task_study, families={}, cells={}, policies=()),
     )
 
 
@@ -486,6 +577,11 @@ def groups(scenario: Scenario, experiment: Experiment) -> dict[str, tuple[str, .
         group = policy if policy in scenario.learned else CLASSICAL_GROUP
         found[group] = (*found.get(group, ()), policy)
     return dict(sorted(found.items(), key=lambda item: item[0] != CLASSICAL_GROUP))
+
+
+def has_unlogged(scenario: Scenario, experiment: Experiment, policy: str) -> bool:
+    """Whether runs of a policy are measured as they run, since not all of them have a log."""
+    return is_crossed(scenario, policy) or experiment.logs is not None
 
 
 def is_crossed(scenario: Scenario, policy: str) -> bool:

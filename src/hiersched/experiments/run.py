@@ -21,7 +21,7 @@ from hiersched.experiments.points import (
     Point,
     experiments,
     groups,
-    is_crossed,
+    has_unlogged,
 )
 from hiersched.experiments.worlds import PolicySource, WorldRun, run_worlds, seed_worlds
 from hiersched.scenario import Scenario
@@ -29,6 +29,8 @@ from hiersched.simulator import Gains, Simulator
 
 Measure = Callable[[RunSlots, Scenario], dict[str, Any]]
 """From the slots of a run to a row of its measures."""
+AsRun = Callable[[Path, Experiment, Point, str], Scenario]
+"""(results, experiment, point, policy) -> the scenario that runs."""
 
 
 def run_experiment(
@@ -38,13 +40,15 @@ def run_experiment(
     group: str,
     source: PolicySource,
     measure: Measure | None = None,
+    as_run: AsRun | None = None,
 ) -> None:
     """Run and log a group of policies; every policy runs in all worlds of a point as one batch.
 
     Of a learner's policies one a world is logged, the others are measured as they run, by
-    `measure`. The beginning of the first worlds is also logged in full: to look at, not to measure.
-    `results` is the folder of the study, with its gain schedules; `name` is one of `experiments`,
-    `group` one of its `groups`.
+    `measure`; where an experiment logs its first worlds alone, all are. The beginning of the first
+    worlds is also logged in full: to look at, not to measure. `results` is the folder of the study,
+    with its gain schedules; `name` is one of `experiments`, `group` one of its `groups`. `as_run`
+    gives the scenario of the runs at a point that waits for other jobs.
     """
     experiment = experiments(scenario)[name]
     policies = groups(scenario, experiment)[group]
@@ -53,6 +57,9 @@ def run_experiment(
         variant = point.scenario
         if group == GAIN_GROUP:
             variant = gain_variant(point, policy)  # type: ignore[arg-type]  # one of GAINS
+        elif point.tuned:
+            assert as_run is not None  # only the study of the task has such points
+            variant = as_run(results, experiment, point, policy)
         path = results / files.gain_file(design_of(scenario, variant))
         schedule, gains = load_gains(path, variant)
         num_slots, warmup_slots = experiment.num_slots(variant)
@@ -73,9 +80,11 @@ def run_experiment(
                 value=point.value if experiment.axis else "",
             )
             run = replace(run, metadata={**run.metadata, **metadata})
-            if not run.logged:
-                assert measure is not None  # only learners have more policies than logs
+            is_logged = run.logged and run.seed in experiment.logged_seeds
+            if not is_logged or experiment.logs is not None:
+                assert measure is not None  # else there are as many logs as runs
                 rows.append(measure(slots_of(variant, label, run), variant))
+            if not is_logged:
                 continue
             path = results / files.run_log(experiment, point, policy, run.seed)
             write_log(path, variant, schedule, label, run, profile=experiment.profile)
@@ -83,7 +92,7 @@ def run_experiment(
                 first = run.beginning(round(experiment.full_log_s / variant.radio.slot_s))
                 path = results / files.full_log(experiment, point, policy, run.seed)
                 write_log(path, variant, schedule, label, first, profile="full")
-        if is_crossed(scenario, policy):
+        if has_unlogged(scenario, experiment, policy):
             crossed = results / files.crossed_file(experiment, point, policy)
             write_parquet(crossed, pd.DataFrame(rows))
         print(f"{name} {point.value} {policy}: {num_slots} slots", flush=True)

@@ -25,6 +25,11 @@ def policy_entry() -> PlainValidator:
     return PlainValidator(_choose_policy)
 
 
+def rule_entry() -> PlainValidator:
+    """Annotate a key whose value is a rule with keys of its own."""
+    return PlainValidator(partial(_choose, RULES))
+
+
 def _choose(section: Section, value: Any) -> Model:
     if not isinstance(value, Mapping):
         example = value if isinstance(value, str) else section.example

@@ -19,7 +19,7 @@ from hiersched.models.plant.reference import period_s, tasks_of
 from hiersched.policies.find import UNTRAINED, ImportedPolicy, untrained_names
 from hiersched.scenario.fault_text import own_faults
 from hiersched.scenario.reference_file import reference_faults
-from hiersched.scenario.schema import Learning, Scenario, model_at
+from hiersched.scenario.schema import Family, Learning, Scenario, model_at
 
 LEAST_SNR_DB = -80.0
 """Below it, a PRB in a deep fade could carry exactly 0 bit/s, and no logarithm of a rate exists."""
@@ -37,9 +37,22 @@ SWEPT_SECTIONS = (
     *("robot", "plant", "control", "policies"),
 )
 """Sections of which a sweep can vary the keys: those that the slot loop reads."""
+TASK_SECTIONS = tuple(section for section in SWEPT_SECTIONS if section != "policies")
+"""Those of which a cell of the study of the task sets keys: its policies are its families."""
 RESERVED_AXES = (
     *("evaluate", "generalise", "gain_study", "gain_grid", "gain_sampling_s", "gain_noise"),
-    *("cell", "measure", "train", "gains", "bound", "stability", "resolve", "kernels", "claims"),
+    *(
+        "cell",
+        "tune",
+        "measure",
+        "train",
+        "gains",
+        "bound",
+        "stability",
+        "resolve",
+        "kernels",
+        "claims",
+    ),
 )
 """Names of other experiments, of what they vary, and of jobs."""
 RESERVED_LEARNERS = ("classical", "gains")
@@ -68,13 +81,14 @@ def inconsistencies(scenario: Scenario, *, swept: bool = False) -> list[str]:
     for key in () if unfit else SECTIONS:  # they read a load of each user
         faults += _asked(key, model_at(scenario, key).faults, scenario)
     faults += [*_own_policies(scenario), *_learners(scenario)]
-    for name in ("sweeps",) if swept else ("evaluate", "sweeps", "generalise"):
+    worlds = ("evaluate", "sweeps", "generalise", "task_study")
+    for name in ("sweeps",) if swept else worlds:
         faults += _multiples(scenario, "radio.slot_s", f"{name}.warmup_s", f"{name}.duration_s")
         faults += _policies(scenario, f"{name}.policies", getattr(scenario, name).policies)
     if not swept:
-        for name in ("evaluate", "sweeps", "generalise", "gain_study"):
+        for name in (*worlds, "gain_study"):
             faults += _once(f"{name}.seeds", getattr(scenario, name).seeds, "seed")
-        faults += [*_axes(scenario), *_gain_study(scenario)]
+        faults += [*_axes(scenario), *_gain_study(scenario), *_task_study(scenario)]
         faults += [*_full_logs(scenario), *_cells(scenario)]
     return faults
 
@@ -491,6 +505,74 @@ def _gain_study(scenario: Scenario) -> list[str]:
         if low > high:
             faults.append(f"gain_study.{key} = [{low}, {high}]: the lower bound first")
     return faults
+
+
+def _task_study(scenario: Scenario) -> list[str]:
+    """Check families and cells; whether the scenario of a cell can be, `points` says."""
+    study, known = scenario.task_study, list(scenario.task_study.families)
+    faults = [
+        *_once("task_study.design_seeds", study.design_seeds, "seed"),
+        *_broken(
+            (
+                bool(study.cells) and not known,
+                "task_study.families = {}: must name one or more, since there are cells",
+            ),
+        ),
+    ]
+    taken = [*scenario.learned, *untrained_names(scenario)]
+    for name, family in study.families.items():
+        faults += _family(f"task_study.families.{name}", name in taken, family)
+    for name, cell in study.cells.items():
+        place = f"task_study.cells.{name}"
+        if f"task_{name}" in scenario.sweeps.axes:
+            faults.append(f"{place}: must be another name: sweeps.axes has task_{name}")
+        faults += [
+            f"{place}.values.{key}: must be a key of {', '.join(TASK_SECTIONS)}"
+            for key in cell.values
+            if key.partition(".")[0] not in TASK_SECTIONS or key == "robot.reference_file"
+        ]
+        for key, bounds in (
+            ("expected_rms", cell.expected_rms),
+            ("expected_p99", cell.expected_p99),
+        ):
+            if bounds is not None and not bounds[0] < bounds[1]:
+                faults.append(f"{place}.{key} = {list(bounds)}: the least first")
+        if cell.families != "all":
+            faults += _once(f"{place}.families", cell.families, "family")
+            faults += [
+                f"{place}.families = {list(cell.families)}: {family} is no family; allowed: "
+                f"{', '.join(known)}"
+                for family in cell.families
+                if family not in known
+            ]
+    return faults
+
+
+def _family(place: str, is_taken: bool, family: Family) -> list[str]:
+    """Check that a family's range is of its rule's knob, which the study alone chooses."""
+    rule, knob = family.policy, family.policy.knob
+    if knob is None:
+        return _broken(
+            (is_taken, f"{place}: the name of a policy: must be another one"),
+            (
+                family.range is not None,
+                f"{place}.range = {family.range}: must be null: {rule.model} has no knob",
+            ),
+        )
+    given = getattr(rule, knob)
+    low, high = family.range or (0.0, 0.0)
+    return _broken(
+        (is_taken, f"{place}: the name of a policy: must be another one"),
+        (
+            given != signature(type(rule)).parameters[knob].default,
+            f"{place}.policy.{knob} = {given}: must be left out: the study chooses it",
+        ),
+        (
+            not low < high,
+            f"{place}.range = {None if family.range is None else list(family.range)}: must be "
+            f"[least, greatest] of {knob}, the least first",
+        ),
+    )
 
 
 def _full_logs(scenario: Scenario) -> list[str]:

@@ -52,17 +52,22 @@ def _parse_yaml(text: str, path: Path) -> dict[str, Any]:
     return data
 
 
+_WHOLE = ("vary", "values")
+"""Keys whose mappings replace each other."""
+
+
 def _merge(base: Mapping[str, Any], overlay: Mapping[str, Any]) -> dict[str, Any]:
     """Put what an overlay names over a mapping.
 
-    Where it names another `model`, nothing stays; nor does what an axis of a sweep varied.
+    Where it names another `model`, nothing stays; nor does what an axis of a sweep varied, or what
+    a cell of the study of the task had.
     """
     if "model" in base and overlay.get("model", base["model"]) != base["model"]:
         return dict(overlay)
     merged = {**base, **overlay}
     for key, value in overlay.items():
         old = base.get(key)
-        if isinstance(old, dict) and isinstance(value, dict) and key != "vary":
+        if isinstance(old, dict) and isinstance(value, dict) and key not in _WHOLE:
             merged[key] = _merge(old, value)
     return merged
 

@@ -22,7 +22,7 @@ from hiersched.core.parameters import (
 from hiersched.models import model
 from hiersched.policies.find import ImportedPolicy
 from hiersched.policies.registry import Rule
-from hiersched.scenario.choice import chosen_from, policy_entry
+from hiersched.scenario.choice import chosen_from, policy_entry, rule_entry
 
 GainMethod = Literal["krasovskii", "razumikhin", "predictor", "latency_compensated", "h2"]
 Reference = Literal["straight", "arc", "figure_eight", "zigzag", "reach", "file"]
@@ -31,6 +31,7 @@ Range = tuple[Positive, Positive]
 Need = Literal["none", "backlog", "backlog_and_arrivals"]
 LearnerName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=60)]
 AxisName = Annotated[str, Field(pattern=r"^[a-z][A-Za-z0-9_.]*$", max_length=60)]
+CellName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=60)]
 PolicyName = LearnerName
 """A scheduler, a learner or one of `policies`; `consistency` knows which there are."""
 LogProfile = Literal["full", "compact", "decisions"]
@@ -259,6 +260,48 @@ class Generalise(Worlds):
 
 
 @dataclass(frozen=True, kw_only=True)
+class Family(_Strict):
+    """A rule without its knob, and the range in which the study of the task looks for that."""
+
+    policy: Annotated[Rule, rule_entry()]
+    range: Range | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskCell(_Strict):
+    """Values of dotted keys, the families that run there, and whether with curves over knobs.
+
+    With `bound_late` knobs keep the lateness of eMBB packets as well as their throughput.
+
+    `expected_rms` and `expected_p99` are ranges for the ratio of the tracking errors of the first
+    family that knows the task and the best that does not: fixed before a run, printed beside it.
+    """
+
+    values: Mapping[str, Any] = field(hash=False)
+    families: Literal["all"] | Annotated[tuple[PolicyName, ...], NonEmpty] = "all"
+    bound_late: bool = False
+    pareto: bool = False
+    expected_rms: Range | None = None
+    expected_p99: Range | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class TaskStudy(_Strict):
+    """Families of rules at equal eMBB throughput: what knowing the robots' task is worth."""
+
+    families: Mapping[PolicyName, Family] = field(hash=False)
+    cells: Mapping[CellName, TaskCell] = field(hash=False)
+    policies: tuple[PolicyName, ...]
+    design_seeds: Annotated[tuple[Seed, ...], NonEmpty]
+    seeds: Annotated[tuple[Seed, ...], NonEmpty]
+    warmup_s: NonNegative
+    duration_s: Positive
+    embb_share: Annotated[float, Field(gt=0, le=1)]
+    embb_late_excess: NonNegative
+    pareto_knobs: Annotated[int, Field(ge=2, le=100)]
+
+
+@dataclass(frozen=True, kw_only=True)
 class GainStudy(_Strict):
     """Forced delays, nominal against adjusted gain: Table II and the sweeps around it."""
 
@@ -313,6 +356,7 @@ class Scenario(_Strict):
     sweeps: Sweeps
     bound: Bound
     generalise: Generalise
+    task_study: TaskStudy
     gain_study: GainStudy
     log: Log
 

@@ -6,13 +6,16 @@ What is shown imports nothing of this: each would depend on all others.
 import sys
 
 import hiersched.study.claims.judged
+import hiersched.study.claims.task
 import hiersched.study.figures.comparison
 import hiersched.study.figures.gains
 import hiersched.study.figures.rates
+import hiersched.study.figures.task
 import hiersched.study.figures.training
 import hiersched.study.tables.gains
 import hiersched.study.tables.paper
-import hiersched.study.tables.policies  # noqa: F401
+import hiersched.study.tables.policies
+import hiersched.study.tables.task  # noqa: F401
 from hiersched.core.registry import Registry, is_plugin_file
 from hiersched.scenario import Scenario
 from hiersched.scenario.plugins import plugin_modules

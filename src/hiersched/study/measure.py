@@ -17,6 +17,12 @@ rates
     logged run of the evaluation.
 delays
     A time: `share` of the delivered URLLC packets of such a run that took longer.
+task
+    A run of the study of the task, with the columns of `task_metrics.task_row`, its `cell` and its
+    `point`: ``tuned``, ``floor``, or ``knob0`` and so on of the curves, with the `knob` there.
+traces
+    A slot and robot of a cell with curves, under a rule at its tuned knob in the first world, for a
+    while behind the warm-up: `TRACED`.
 episodes
     An episode of a training, or the policies at a checkpoint (`kind`): rewards, backlogs, late
     share.
@@ -39,14 +45,18 @@ from hiersched.experiments.logged import RunSlots, read_slots
 from hiersched.experiments.logging import slice_fields
 from hiersched.experiments.points import (
     GAIN_GROUP,
+    TASK,
     Experiment,
     Point,
+    cell_of,
     experiments,
     groups,
+    has_unlogged,
     is_crossed,
     trained_learners,
 )
 from hiersched.log import LogError, LogReader
+from hiersched.policies.registry import Rule
 from hiersched.scenario import Scenario
 from hiersched.scenario.schema import checkpoint_rounds
 from hiersched.study.metrics import (
@@ -60,6 +70,8 @@ from hiersched.study.metrics import (
 
 RUN_TABLES = ("runs", "windows", "slots", "rates", "delays")
 """Of a group of policies."""
+TASK_TABLES = ("task", "traces")
+"""Of a group of policies that runs in the study of the task."""
 GAIN_TABLES = ("windows", "slots")
 """Of the gain study."""
 
@@ -70,6 +82,9 @@ RATE_EDGES = 10.0 ** (np.arange(-1500, 2001) / 500.0)
 DELAY_POINTS = 201
 DEADLINES_KEPT = 5.0
 """Distributions of delay end at this many deadlines."""
+TRACED = ("reference", "hol_delay_s", "tracking_error_m", "num_prb")
+"""Fields of a trace; of the reference its speed."""
+TRACE_S = 8.0
 WINDOWS_AFTER = 2
 """Windows of a trace behind the violated one, in which the loop recovers."""
 
@@ -81,7 +96,9 @@ def measured_groups(scenario: Scenario) -> dict[str, tuple[str, ...]]:
     found: dict[str, tuple[str, ...]] = {}
     for experiment in experiments(scenario).values():
         for group in groups(scenario, experiment):
-            found[group] = GAIN_TABLES if group == GAIN_GROUP else RUN_TABLES
+            own = GAIN_TABLES if group == GAIN_GROUP else RUN_TABLES
+            more = TASK_TABLES if experiment.stage == TASK else ()
+            found[group] = tuple(dict.fromkeys((*found.get(group, own), *more)))
     for learner in trained_learners(scenario):
         found[learner] = (*found.get(learner, ()), "episodes")
     return found
@@ -101,7 +118,7 @@ def measured_files(scenario: Scenario, group: str) -> list[str]:
         names += [
             files.crossed_file(experiment, point, policy)
             for point, policy in experiment.runs(policies)
-            if is_crossed(scenario, policy)
+            if has_unlogged(scenario, experiment, policy)
         ]
     if group in trained_learners(scenario):
         names += files.learner_logs(scenario, group)
@@ -120,7 +137,9 @@ def measure(scenario: Scenario, results: Path, group: str) -> None:
     for experiment in experiments(scenario).values():
         policies = groups(scenario, experiment).get(group, ())
         for point, policy in experiment.runs(policies):
-            if group == GAIN_GROUP:
+            if experiment.stage == TASK:
+                _measure_task(tables, scenario, results, experiment, point, policy)
+            elif group == GAIN_GROUP:
                 _measure_gains(tables, results, experiment, point, policy)
             else:
                 _measure_runs(tables, scenario, results, experiment, point, policy)
@@ -167,6 +186,50 @@ def _measure_runs(
     first = ["policy", "policy_seed", "seed", "logged"]
     table = table[[*first, *(name for name in table if name not in first)]]
     tables["runs"].append(table.assign(**labels))
+
+
+def _measure_task(
+    tables: Table,
+    scenario: Scenario,
+    results: Path,
+    experiment: Experiment,
+    point: Point,
+    policy: str,
+) -> None:
+    """Add the runs of a policy at a point of a cell, and what its traces show."""
+    cell = cell_of(experiment)
+    runs = pd.read_parquet(results / files.crossed_file(experiment, point, policy))
+    runs["policy_seed"] = runs["policy_seed"].astype("Int64")
+    seeds = scenario.learned[policy].seeds if policy in scenario.learned else (pd.NA,)
+    places = list(zip(runs["policy_seed"], runs["seed"], strict=True))
+    if sorted(places, key=str) != sorted(product(seeds, experiment.seeds), key=str):
+        raise ValueError(f"{experiment.name} {point.value} {policy}: not once in each world")
+    rule = point.scenario.policies.get(policy)
+    knob = getattr(rule, rule.knob) if isinstance(rule, Rule) and rule.knob else np.nan
+    labels = {"cell": cell, "point": point.value, "knob": np.nan if point.tuned else knob}
+    tables["task"].append(runs.assign(**labels))
+    if scenario.task_study.cells[cell].pareto and point.tuned and policy not in scenario.learned:
+        path = results / files.run_log(experiment, point, policy, experiment.seeds[0])
+        tables["traces"].append(_trace(path, point.scenario).assign(cell=cell, policy=policy))
+
+
+def _trace(path: Path, scenario: Scenario) -> pd.DataFrame:
+    """Return slots and robots of a run for `TRACE_S` behind its warm-up."""
+    run = read_slots(path, TRACED)
+    robots, slots = run.num_urllc, round(TRACE_S / run.slot_s)
+    shown = {name: run.measured(name)[:slots] for name in TRACED}
+    length = len(shown["hol_delay_s"])
+    reference = shown.pop("reference")
+    columns = {"speed_mps": reference[:, :, 3]} | {
+        name: values[:, :robots] for name, values in shown.items()
+    }
+    return pd.DataFrame(
+        {
+            "slot": np.repeat(np.arange(length), robots),
+            "robot": np.tile(np.arange(robots), length),
+            **{name: values.ravel() for name, values in columns.items()},
+        }
+    )
 
 
 def _in_order(

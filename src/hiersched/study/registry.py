@@ -155,6 +155,16 @@ def has_cells(scenario: Scenario) -> bool:
     return bool(scenario.generalise.cells)
 
 
+def has_task_study(scenario: Scenario) -> bool:
+    """Whether families of rules run in cells of the study of the task."""
+    return bool(scenario.task_study.cells)
+
+
+def has_pareto(scenario: Scenario) -> bool:
+    """Whether they run over a grid of knobs in one of the cells."""
+    return any(cell.pareto for cell in scenario.task_study.cells.values())
+
+
 def has_learners(scenario: Scenario) -> bool:
     """Whether a scenario trains policies."""
     return bool(trained_learners(scenario))

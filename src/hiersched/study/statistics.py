@@ -203,6 +203,45 @@ def paired_log_ratio(
     return Interval(math.exp(mean), math.exp(lo), highest)
 
 
+def p_value(differences: npt.ArrayLike) -> float:
+    """Return the two-sided p-value that the mean is 0, of the same test as `mean_interval`.
+
+    Values are paired differences, or logarithms of ratios, shape (n,) or (P, W). NaN for a single
+    seed or a NaN among them; 1 where all are 0.
+    """
+    from scipy.special import stdtr
+
+    sample = _sample(differences)
+    mean = float(sample.mean())
+    if sample.size < 2 or math.isnan(mean):
+        return math.nan
+    if sample.ndim == 2 and max(np.ptp(sample.mean(axis=axis)) for axis in (0, 1)) == 0.0:
+        sample = sample.ravel()
+    if sample.ndim == 2:
+        variance, freedom = _crossed_variance(sample)
+    else:
+        variance, freedom = float(sample.var(ddof=1)) / len(sample), len(sample) - 1.0
+    if variance == 0.0:
+        return float(mean == 0.0)
+    return 2.0 * float(stdtr(freedom, -abs(mean) / math.sqrt(variance)))
+
+
+def holm(p_values: npt.ArrayLike) -> FloatArray:
+    """Return p-values that hold for all of several comparisons together, shape (n,).
+
+    Holm ("A simple sequentially rejective multiple test procedure", Scandinavian Journal of
+    Statistics 6, 1979): the k-th smallest of n is multiplied by n - k + 1, and none is less than
+    one before it. NaN stays NaN and is no comparison.
+    """
+    given = np.asarray(p_values, dtype=np.float64)
+    adjusted: FloatArray = np.full(given.shape, np.nan)
+    order = np.argsort(given, kind="stable")
+    order = order[~np.isnan(given[order])]
+    factors = np.arange(len(order), 0, -1)
+    adjusted[order] = np.minimum(np.maximum.accumulate(factors * given[order]), 1.0)
+    return adjusted
+
+
 def halvings(count: int) -> list[tuple[IntArray, IntArray]]:
     """Return the ways to halve `count` seeds, each once: 126 for ten, none for fewer than two.
 
@@ -325,17 +364,25 @@ def _pair(values: npt.ArrayLike, baseline: npt.ArrayLike) -> tuple[FloatArray, F
 
 def _crossed_half_width(sample: FloatArray) -> float:
     """Half of the interval of the mean of policies crossed with worlds, shape (P, W)."""
+    variance, freedom = _crossed_variance(sample)
+    if math.isnan(variance) or variance == 0.0:
+        return variance
+    return _t_quantile(freedom) * math.sqrt(variance)
+
+
+def _crossed_variance(sample: FloatArray) -> tuple[float, float]:
+    """Variance of the mean of policies crossed with worlds, (P, W), and its degrees of freedom."""
     means = [sample.mean(axis=axis) for axis in (1, 0)]
     parts = [float(mean.var(ddof=1)) / len(mean) for mean in means]
     if math.isnan(sum(parts)):
-        return math.nan
+        return math.nan, math.nan
     if sum(parts) <= (1e-15 * float(np.abs(sample).max())) ** 2:
-        return 0.0
+        return 0.0, math.nan
     shares = [part / sum(parts) for part in parts]
     freedom = 1.0 / sum(
         share**2 / (len(mean) - 1) for share, mean in zip(shares, means, strict=True)
     )
-    return _t_quantile(freedom) * math.sqrt(sum(parts))
+    return sum(parts), freedom
 
 
 def _crossed_spread(sample: FloatArray) -> float:

@@ -13,9 +13,10 @@ from hiersched.control import GainSchedule
 from hiersched.experiments import files
 from hiersched.experiments.gains import design_of, designs
 from hiersched.experiments.points import Point, experiments
+from hiersched.experiments.tune import read_tuning
 from hiersched.scenario import Scenario
 from hiersched.simulator.gain_source import read_gains
-from hiersched.study.measure import RUN_TABLES, measured_groups, table_file
+from hiersched.study.measure import RUN_TABLES, TASK_TABLES, measured_groups, table_file
 
 
 class Study:
@@ -29,16 +30,18 @@ class Study:
     def sources(scenario: Scenario, reads: tuple[str, ...]) -> list[str]:
         """List the files of tables of measures, relative to the folder of the study.
 
-        They are the tables of `measure` (runs, windows, slots, rates, delays, episodes), ``bound``
-        (exact optima), ``stability`` (regions of the gain study) and ``schedules`` (its gains);
-        ValueError for any other.
+        They are the tables of `measure` (runs, windows, slots, rates, delays, task, traces,
+        episodes), ``bound`` (exact optima), ``stability`` (regions of the gain study),
+        ``schedules`` (its gains) and ``tunings`` (knobs of the study of the task); ValueError for
+        any other.
         """
         own = {
             "bound": [files.BOUND],
             "stability": [files.STABILITY],
+            "tunings": [files.tuning_file(cell) for cell in scenario.task_study.cells],
             "schedules": [files.gain_file(design) for design in designs(scenario)],
         }
-        known = (*RUN_TABLES, "episodes", *own)
+        known = (*RUN_TABLES, *TASK_TABLES, "episodes", *own)
         names = []
         for table in reads:
             if table not in known:
@@ -133,6 +136,17 @@ class Study:
         """Read the gain schedule of a variant of the scenario."""
         path = self.results / files.gain_file(design_of(self.scenario, variant))
         return read_gains(path, variant)
+
+    @cached_property
+    def task(self) -> pd.DataFrame:
+        """Runs of the study of the task: table ``task`` of `measure`."""
+        return self.measures("task")
+
+    @cached_property
+    def tunings(self) -> dict[str, dict[str, Any]]:
+        """Cell of the study of the task -> the choice of its knobs: see `experiments.tune`."""
+        cells = self.scenario.task_study.cells
+        return {cell: read_tuning(self.results / files.tuning_file(cell)) for cell in cells}
 
     @property
     def bound(self) -> pd.DataFrame:

@@ -2,8 +2,34 @@
 
 for s in SCENARIOS:
     for e in experiments(s).values():
+        if e.stage == TASK:
+
+            rule:
+                name:
+                    f"tune_{cell_of(e)}_{s.name}"
+                input:
+                    kernels=KERNELS,
+                    gains=gain_files(s, experiment_designs(s, e)),
+                output:
+                    whole(s, [files.tuning_file(cell_of(e))]),
+                log:
+                    f"{folder(s)}/logs/tune_{cell_of(e)}.log",
+                benchmark:
+                    f"{folder(s)}/benchmarks/tune_{cell_of(e)}.tsv"
+                priority: 20  # the runs of the cell wait for it
+                threads: 1
+                params:
+                    spec=spec(f"tune_{cell_of(e)}", dependencies.tune_values(s, e), "tune"),
+                    args=arguments("tune", s, "--cell", cell_of(e)),
+                message:
+                    f"Choosing the knobs of {s.name}: {cell_of(e)}"
+                shell:
+                    "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"
+
         for group in groups(s, e):
             stage = "run_learned" if group in s.learned else "run"
+            tuned = e.stage == TASK
+            stage = "run_task" if tuned else stage
 
             rule:
                 name:
@@ -12,6 +38,11 @@ for s in SCENARIOS:
                     kernels=KERNELS,
                     gains=gain_files(s, experiment_designs(s, e)),
                     policies=(inside(s, files.policy_files(s, group)) if group in s.learned else []),
+                    knobs=(
+                        inside(s, [files.tuning_file(cell_of(e))])
+                        if tuned and group not in s.learned
+                        else []
+                    ),
                 output:
                     whole(s, files.group_files(s, e, group)),
                 log:
