@@ -181,7 +181,8 @@ def test_stability_reads_what_it_declares(
     monkeypatch.setattr(stability, "certified_delays", lambda *_: {})
     stability.write_stability(tiny, results)
     assert undeclared(set(reads), dependencies.stability_values(tiny)) == {
-        *("control.gain", "control.hold_samples")  # of the loop, which does not run
+        # Of the loop, which does not run.
+        *("control.gain", "control.hold_samples", "control.delay", "control.sample_phases")
     }
 
 
