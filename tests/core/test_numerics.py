@@ -20,6 +20,8 @@ from hiersched.core.numerics import (
     ordered_f32,
     ordered_f64,
     sin_half,
+    sinc,
+    sincos,
     sincos_turn_f32,
     wrap_angle,
 )
@@ -201,3 +203,21 @@ def test_integers_are_in_the_order_of_their_floats():
     assert (np.diff(single) >= 0).all()
     assert (np.diff(double) > 0).all()
     np.testing.assert_array_equal(back, x)
+
+
+def test_sine_and_cosine_keep_their_bound():
+    """Below 2 ulp, beside multiples of pi / 2 below 1e-30; in an array."""
+    rng = np.random.default_rng(3)
+    beside = (np.arange(-200, 200) * (math.pi / 2))[:, None] + [0.0, 1e-9, -1e-15]
+    x = np.concatenate([rng.uniform(-10.0, 10.0, 3000), rng.uniform(-1e5, 1e5, 3000)])
+    x = np.concatenate([x, beside.ravel(), [0.0, 1e-300, -1e-20]])
+    sine, cosine = sincos(x)
+    for got, exact in ((sine, np.sin(np.longdouble(x))), (cosine, np.cos(np.longdouble(x)))):
+        ulp = np.spacing(np.abs(exact.astype(np.float64)))
+        assert np.all(np.abs(got - exact) <= 2.0 * ulp + 1e-30)
+    np.testing.assert_array_equal(sincos(x[:6].reshape(2, 3))[0], sine[:6].reshape(2, 3))
+
+
+def test_sinc_is_one_at_zero():
+    x = np.array([0.0, 1e-9, 0.5, -2.0])
+    np.testing.assert_allclose(sinc(x), [1.0, 1.0, math.sin(0.5) / 0.5, math.sin(2) / 2])

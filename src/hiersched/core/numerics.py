@@ -15,6 +15,8 @@ from numba import njit, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from hiersched.core.compiled import kernel
+
 F32 = np.float32
 _SQRT_HALF_32 = np.int32(0x3F3504F3)
 _MANTISSA_32 = np.int32(0x007FFFFF)
@@ -23,6 +25,9 @@ _MANTISSA_64 = np.int64(0x000FFFFFFFFFFFFF)
 _LOG2_E = 1.4426950408889634
 _LN2_HIGH = 6.93147180369123816490e-01
 _LN2_LOW = 1.90821492927058770002e-10
+
+_TWO_OVER_PI = 0.6366197723675814
+_HALF_PI_HIGH, _HALF_PI_LOW = 1.5707963267948966, 6.123233995736766e-17
 
 # Coefficients of polynomials, that of the highest power first.
 _LN_F32 = tuple(
@@ -36,6 +41,14 @@ _LN_F64 = (
     1.479819860511658591e-01, 1.531383769920937332e-01, 1.818357216161805012e-01,
     2.222219843214978396e-01, 2.857142874366239149e-01, 3.999999999940941908e-01,
     6.666666666666735130e-01,
+)  # fmt: skip
+_SIN_F64 = (
+    1.58969099521155010221e-10, -2.50507602534068634195e-08, 2.75573137070700676789e-06,
+    -1.98412698298579493134e-04, 8.33333333332248946124e-03, -1.66666666666666324348e-01,
+)  # fmt: skip
+_COS_F64 = (
+    -1.13596475577881948265e-11, 2.08757232129817482790e-09, -2.75573143513906633035e-07,
+    2.48015872894767294178e-05, -1.38888888888741095749e-03, 4.16666666666666019037e-02,
 )  # fmt: skip
 _EXP = (
     1.6059043836821613e-10, 2.08767569878681e-09, 2.505210838544172e-08, 2.755731922398589e-07,
@@ -190,6 +203,65 @@ def cos_half(x: float) -> float:
     """cos(x / 2) for |x| <= pi; error below 1e-9 (Taylor series to the 14th power)."""
     h = 0.5 * x
     return polynomial(h * h, _COS)
+
+
+@njit(inline="always")
+def _sine(r: float) -> float:
+    z = r * r
+    return fma(z * r, polynomial(z, _SIN_F64), r)
+
+
+@njit(inline="always")
+def _cosine(r: float) -> float:
+    z = r * r
+    half = 0.5 * z
+    rest = 1.0 - half
+    return rest + (((1.0 - rest) - half) + z * z * polynomial(z, _COS_F64))
+
+
+@njit(inline="always")
+def sincos_f64(x: float) -> tuple[float, float]:
+    """Sine and cosine of a double within 1e5; errors below 2 ulp, or 1e-30 if that is more.
+
+    Source: reduction by multiples of pi / 2 in two parts (Cody and Waite), polynomials of fdlibm.
+    """
+    n = np.floor(x * _TWO_OVER_PI + 0.5)
+    r = fma(-n, _HALF_PI_LOW, fma(-n, _HALF_PI_HIGH, x))
+    sine, cosine = _sine(r), _cosine(r)
+    quarter = np.int64(n) & 3
+    if quarter == 1:
+        return cosine, -sine
+    if quarter == 2:
+        return -sine, -cosine
+    if quarter == 3:
+        return -cosine, sine
+    return sine, cosine
+
+
+@kernel()
+def _fill_sincos(
+    x: NDArray[np.float64], sine: NDArray[np.float64], cosine: NDArray[np.float64]
+) -> None:
+    for i in range(x.shape[0]):
+        sine[i], cosine[i] = sincos_f64(x[i])
+
+
+def sincos(x: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Sines and cosines of an array within 1e5, by `sincos_f64`.
+
+    NumPy's have other last bits on processors with AVX-512, where a log would not replay that
+    another processor wrote.
+    """
+    sine, cosine = np.empty(x.shape), np.empty(x.shape)
+    _fill_sincos(np.ravel(x), sine.reshape(-1), cosine.reshape(-1))
+    return sine, cosine
+
+
+def sinc(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Sin(x) / x of an array within 1e5, 1 at 0."""
+    there = np.where(x == 0.0, 1e-20, x)
+    ratio: NDArray[np.float64] = sincos(there)[0] / there
+    return ratio
 
 
 @njit(inline="always")

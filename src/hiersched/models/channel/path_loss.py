@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from hiersched.core.numerics import sincos
 from hiersched.core.parameters import NonNegative, Note, Positive
 from hiersched.core.randomness import STREAM_POSITION, draw_uniforms
 from hiersched.models.model import PATH_LOSS, PathLoss
@@ -53,8 +54,11 @@ class Macro(PathLoss):
             draw_uniforms(np.uint64(key), STREAM_POSITION, 0, lane, uniforms[lane])
         nearest, farthest = self.min_distance_m**2, self.cell_radius_m**2
         distance_m = np.sqrt(nearest + uniforms[0] * (farthest - nearest))
-        normal = np.sqrt(-2.0 * np.log(uniforms[1])) * np.cos(2.0 * np.pi * uniforms[2])
-        loss_db = 128.1 + 37.6 * np.log10(distance_m / 1000.0) + self.shadowing_db * normal
+        # Logarithms one by one: NumPy's differ in their last bits from one processor to another.
+        ln_uniform = np.array([math.log(value) for value in uniforms[1]])
+        log_distance = np.array([math.log10(value / 1000.0) for value in distance_m])
+        normal = np.sqrt(-2.0 * ln_uniform) * sincos(2.0 * np.pi * uniforms[2])[1]
+        loss_db = 128.1 + 37.6 * log_distance + self.shadowing_db * normal
         return np.array([math.pow(10.0, -loss / 10.0) for loss in loss_db])
 
     def least_gain_db(self) -> float:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.core.compiled import kernel
+from hiersched.core.numerics import sincos
 from hiersched.core.randomness import STREAM_REFERENCE, draw_uniforms
 from hiersched.models.plant.reference import (
     ReferenceTable,
@@ -97,7 +98,8 @@ def _put(words: OperatorWords, rows: slice, table: ReferenceTable) -> None:
     words.pose[rows] = table.pose
     if len(words.direction):
         heading = table.pose[:, 2]
-        words.direction[rows] = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+        sine, cosine = sincos(heading)
+        words.direction[rows] = np.stack([cosine, sine], axis=1)
 
 
 def draw_references(words: OperatorWords, keys: NDArray[np.uint64]) -> None:

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from hiersched.core.numerics import sinc, sincos
+
 if TYPE_CHECKING:
     from hiersched.scenario.schema import Reference, Robot
 
@@ -36,12 +38,13 @@ class ReferenceTable:
     def rows(self) -> FloatArray:
         """Return what the motion needs of each step, shape (N, 5): see `UnicycleWords.path`."""
         half_turn = 0.5 * self.step_s * self.turn_rate_radps
+        sine, cosine = sincos(half_turn)
         return np.stack(
             [
                 self.turn_rate_radps,
-                np.cos(half_turn),
-                np.sin(half_turn),
-                self.speed_mps * self.step_s * np.sinc(half_turn / math.pi),
+                cosine,
+                sine,
+                self.speed_mps * self.step_s * sinc(half_turn),
                 self.speed_mps,
             ],
             axis=1,
@@ -55,17 +58,18 @@ def _figure_eight(robot: Robot, arc_m: FloatArray) -> FloatArray:
     """
     a = robot.eight_half_width_m
     grid = np.linspace(0.0, 2.0 * math.pi, 20_001)
-    speed = a / np.sqrt(1.0 + np.sin(grid) ** 2)
+    speed = a / np.sqrt(1.0 + sincos(grid)[0] ** 2)
     step = grid[1] - grid[0]
     length = np.concatenate([[0.0], np.cumsum(0.5 * (speed[1:] + speed[:-1]) * step)])
     parameter = np.interp(arc_m % length[-1], length, grid)
-    return 3.0 * np.cos(parameter) / (a * np.sqrt(1.0 + np.sin(parameter) ** 2))
+    sine, cosine = sincos(parameter)
+    return 3.0 * cosine / (a * np.sqrt(1.0 + sine**2))
 
 
 def _zigzag(robot: Robot, arc_m: FloatArray) -> FloatArray:
     """Swing: the heading goes to and fro between two bounds along a sine of the arc length."""
     wave = 2.0 * math.pi / robot.zigzag_period_m
-    return math.radians(robot.zigzag_heading_deg) * wave * np.cos(wave * arc_m)
+    return math.radians(robot.zigzag_heading_deg) * wave * sincos(wave * arc_m)[1]
 
 
 _PATHS: dict[str, tuple[Callable[[Robot], float], Callable[[Robot, FloatArray], FloatArray]]] = {
@@ -234,9 +238,10 @@ def integrated(
     middle_heading = 0.5 * (heading[1:] + heading[:-1])
     # Chord of a circular arc: the reference turns within the step.
     half_turn = 0.5 * turn_rate * step_s
-    chord_m = speed_mps * step_s * np.sinc(half_turn / math.pi)
-    x = start[0] + np.concatenate([[0.0], np.cumsum(chord_m * np.cos(middle_heading))])
-    y = start[1] + np.concatenate([[0.0], np.cumsum(chord_m * np.sin(middle_heading))])
+    chord_m = speed_mps * step_s * sinc(half_turn)
+    sine, cosine = sincos(middle_heading)
+    x = start[0] + np.concatenate([[0.0], np.cumsum(chord_m * cosine)])
+    y = start[1] + np.concatenate([[0.0], np.cumsum(chord_m * sine)])
     pose = np.stack([x, y, heading], axis=1)
     return ReferenceTable(step_s=step_s, pose=pose, speed_mps=speed_mps, turn_rate_radps=turn_rate)
 
@@ -251,14 +256,12 @@ def displacements(points: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Displacement from row to row along and across the chord of an arc, shape (N - 1,) each."""
     middle = points[:-1, 3] + 0.5 * turns(points)
     dx, dy = np.diff(points[:, 1]), np.diff(points[:, 2])
-    return (
-        dx * np.cos(middle) + dy * np.sin(middle),
-        dy * np.cos(middle) - dx * np.sin(middle),
-    )
+    sine, cosine = sincos(middle)
+    return dx * cosine + dy * sine, dy * cosine - dx * sine
 
 
 def arc_lengths(points: FloatArray) -> FloatArray:
     """Length of the arc from row to row, shape (N - 1,): its chord by sinc(half the turn)."""
     along, _ = displacements(points)
-    length: FloatArray = np.maximum(along, 0.0) / np.sinc(0.5 * turns(points) / math.pi)
+    length: FloatArray = np.maximum(along, 0.0) / sinc(0.5 * turns(points))
     return length

@@ -15,7 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from hiersched.core.compiled import inner_kernel
-from hiersched.core.numerics import cos_half, sin_half, wrap_angle
+from hiersched.core.numerics import cos_half, sin_half, sincos_f64, wrap_angle
 from hiersched.core.parameters import Note
 from hiersched.core.randomness import NormalScratch, draw_normals, normal_scratch
 from hiersched.models.model import PLANT, Plant, Setup
@@ -139,8 +139,8 @@ class Unicycle(Plant):
         steps_per_sample = round(control.sampling_s / step_s)
         of_robots = (setup.num_envs, num_robots)
         reported_slots = math.ceil(robot.core_latency_s / slot_s - 1e-9)
-        decay = float(np.exp(-step_s / robot.actuator_lag_s))
-        slip_decay = float(np.exp(-slot_s / robot.slip_time_s))
+        decay = math.exp(-step_s / robot.actuator_lag_s)
+        slip_decay = math.exp(-slot_s / robot.slip_time_s)
         slip_spread = float(np.sqrt(1.0 - slip_decay**2))
         return UnicycleWords(
             step_s=step_s,
@@ -237,11 +237,12 @@ def _set_point(
     half = 0.5 * motion[0] * lag_s
     chord = motion[4] * lag_s
     if abs(half) > 1e-6:  # below, sin(x) / x is 1 in double precision
-        chord *= math.sin(half) / half
-    x = pose[0] + chord * math.cos(pose[2] + half)
-    y = pose[1] + chord * math.sin(pose[2] + half)
+        chord *= sincos_f64(half)[0] / half
+    middle_sine, middle_cosine = sincos_f64(pose[2] + half)
     heading = pose[2] + 2.0 * half
-    return x, y, heading, math.cos(heading), math.sin(heading)
+    sine, cosine = sincos_f64(heading)
+    x, y = pose[0] + chord * middle_cosine, pose[1] + chord * middle_sine
+    return x, y, heading, cosine, sine
 
 
 @inner_kernel(forceinline=True)
