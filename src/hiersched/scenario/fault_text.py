@@ -26,6 +26,10 @@ class ScenarioError(InputError, ValueError):
     """A scenario that cannot be run: the message names file, key, value and what is allowed."""
 
 
+MOST_SHOWN = 300
+"""Characters of a value that a fault shows: it may be a whole section."""
+
+
 def describe(
     error: ValidationError,
     merged: Mapping[str, Any],
@@ -82,7 +86,9 @@ def _fault(
             message += f"; allowed: {', '.join(allowed)}{meant(str(location[-1]), allowed)}"
     elif isinstance(value, str) and re.fullmatch(r"[-+]?\d+(\.\d*)?[eE][-+]?\d+", value):
         message += " (YAML takes 1e-3 and 1.0e6 for text: write 1.0e-3, 1.0e+6)"
-    return f"{key} = {value!r}: {message}"
+    shown = repr(value)
+    shown = shown if len(shown) <= MOST_SHOWN else f"{shown[:MOST_SHOWN]}…"
+    return f"{key} = {shown}: {message}"
 
 
 def meant(name: str, allowed: Sequence[str]) -> str:
