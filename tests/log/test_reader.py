@@ -251,7 +251,7 @@ def test_impostors_are_refused(tmp_path: Path) -> None:
             LogReader(path)
 
 
-QUEUE_BYTES = 31 + 9 + (2 + 40) + (2 + 20) + 2 * (2 + 40)  # of a message of five users
+QUEUE_BYTES = 31 + 9 + (2 + 40) + 2 * (2 + 20) + 2 * (2 + 40)  # of a message of five users
 
 
 @pytest.mark.parametrize(

@@ -473,7 +473,9 @@ def test_a_rule_by_the_task_runs_under_the_name_of_a_policy(make_simulator, tmp_
             for policy, value in (("little", little), ("much", much))}  # fmt: skip
     policies = {policy: {"model": name, **own} for policy, own in keys.items()}
     path = tmp_path / "mine.yaml"
-    path.write_text(yaml.safe_dump({"name": "mine", "policies": policies}))
+    values = {"name": "mine", "policies": policies}
+    values["robot"] = {"set_point": "hold"}
+    path.write_text(yaml.safe_dump(values))
     rules = load_scenario(path).policies
     assert all(rules[policy] == RULES[name](**own) for policy, own in keys.items())
     simulator = make_simulator()
