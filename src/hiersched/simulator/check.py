@@ -117,10 +117,15 @@ class _Trial:
             simulator.state.fading_power.view(np.uint32)[:] = word & 0xFFFFFFFF
             fields = simulator.run(policy, 1)._asdict()
             slots.append({**fields, "fading_power": channel[:, None]})
-        names = list(SlotFields._fields)
-        names.remove("mean_fading_power")  # of what lies there now
-        if not self.scenario.plant.has_pose:
-            names.remove("reference")  # there is none
+        scenario = self.scenario
+        absent = {
+            "mean_fading_power": True,  # of what lies there now
+            "reference": not scenario.plant.has_pose,
+            "set_point": scenario.robot.set_point == "present",
+            "set_point_age_s": not scenario.tracks_age,
+            "superseded_packets": not getattr(scenario.traffic.queue, "tracks_packets", False),
+        }
+        names = [name for name in SlotFields._fields if not absent.get(name, False)]
         return {name: np.concatenate([slot[name] for slot in slots], axis=1) for name in names}
 
 
