@@ -46,7 +46,8 @@ SWEEPS = {f"{axis}_classical" for axis in (*AXES, "packets")}
 CLASSICAL = {*SWEEPS, "evaluate_classical", "generalise_classical", "measure_classical", "bound"}
 GAIN_RUNS = {f"gain_{name}_gains" for name in ("study", "grid", "sampling_s", "noise")}
 GAINS = {*GAIN_RUNS, "measure_gains"}
-EVERY_RUN = {*LEARNED, *CLASSICAL, *GAINS}
+TASK_RUNS = {"tune_hold", "tune_batch", "task_hold_classical", "task_batch_classical"}
+EVERY_RUN = {*LEARNED, *CLASSICAL, *GAINS, *TASK_RUNS}
 
 
 @pytest.fixture(scope="module")
