@@ -38,7 +38,13 @@ from hiersched.policies.factor import (
     urllc_factor,
     weigh_drift,
 )
-from hiersched.policies.needs import NEEDS, expected_packets, expected_wait_s, need_mbps
+from hiersched.policies.needs import (
+    NEEDS,
+    expected_packets,
+    expected_wait_s,
+    need_mbps,
+    order_by_deadline,
+)
 from hiersched.policies.registry import RULES, Look, Rule
 from hiersched.policies.seams import INDEX
 
@@ -333,10 +339,8 @@ class DeadlineWords(NamedTuple):
 def index_edf(me: DeadlineWords, constants: Any, state: Any, slot: Any, env: int) -> None:
     """W - D, and the rate that empties the queue."""
     for user in range(state.index_weight.shape[1]):
-        packets = state.backlog_packets[env, user]
-        state.need_mbps[env, user] = need_mbps(constants, state, env, user, packets)
         deadline_s = urllc_factor(constants, user, me.factor) * constants.deadline_s[user]
-        state.index_weight[env, user] = state.hol_delay_s[env, user] - deadline_s
+        order_by_deadline(constants, state, env, user, deadline_s)
 
 
 CLASSICAL = (

@@ -41,3 +41,11 @@ def need_mbps(constants: Any, state: Any, env: int, user: int, packets: float) -
     if packets > 0.0 and user < constants.num_urllc:
         need += constants.service_coefficient_mbps * state.dexterity_index[env, user]
     return float(need)
+
+
+@njit(inline="always")
+def order_by_deadline(constants: Any, state: Any, env: int, user: int, deadline_s: float) -> None:
+    """Give a user EDF's urgency W - D and the rate that empties its queue."""
+    packets = state.backlog_packets[env, user]
+    state.need_mbps[env, user] = need_mbps(constants, state, env, user, packets)
+    state.index_weight[env, user] = state.hol_delay_s[env, user] - deadline_s

@@ -17,7 +17,7 @@ from numba import njit
 from hiersched.core.parameters import NonNegative, Note, Positive
 from hiersched.models.model import Setup
 from hiersched.policies.factor import Drift, Factor, Weighs, weigh_drift
-from hiersched.policies.needs import need_mbps
+from hiersched.policies.needs import order_by_deadline
 from hiersched.policies.registry import RULES, Look, Rule
 from hiersched.policies.seams import INDEX
 
@@ -86,9 +86,37 @@ def index_task(me: TaskWords, constants: Any, state: Any, slot: Any, env: int) -
         weigh_drift(state, env, user, weight, me.both)
 
 
+class TaskWeight(Drift):
+    """Weight k (floor + (x / scale)^2), times (lambda_mean / lambda)^2 with `by_packets`."""
+
+    knows_task = True
+    floor: float
+    what: ClassVar[int] = NEWEST
+    scale: ClassVar[float] = 1.0
+    by_packets: ClassVar[bool] = False
+
+    def words(self, setup: Setup) -> TaskWords:
+        """As in `Model`."""
+        what, both = self._what(), self.weighs == "both"
+        return TaskWords(self.urllc_factor, self.floor, what, self.scale, self.by_packets, both)
+
+    def _what(self) -> int:
+        """Code of x."""
+        return self.what
+
+
+class SpeedWeight(TaskWeight):
+    """Its x is the speed of a set-point."""
+
+    speed: Speed
+
+    def _what(self) -> int:
+        return _SPEED[self.speed]
+
+
 @RULES.model
 @dataclass(frozen=True, kw_only=True)
-class Urgency(Drift):
+class Urgency(SpeedWeight):
     """Weight k (floor + v^2), v in m/s: a late set-point is off by about v times its age.
 
     Urgency of information: Zheng, Zhou and Niu, IEEE Trans. Wireless Communications 19, 2020.
@@ -97,21 +125,15 @@ class Urgency(Drift):
 
     model: Literal["urgency"] = "urgency"
     look: ClassVar[Look] = Look("urgency", "#882255", (0, (10, 1.5)), "*")
-    knows_task = True
     urllc_factor: Factor = 1.0
     floor: Floor = 0.3
     speed: Speed = "newest"
     weighs: Weighs = "drift"
 
-    def words(self, setup: Setup) -> TaskWords:
-        """As in `Model`."""
-        what, both = _SPEED[self.speed], self.weighs == "both"
-        return TaskWords(self.urllc_factor, self.floor, what, 1.0, False, both)
-
 
 @RULES.model
 @dataclass(frozen=True, kw_only=True)
-class GeneralisedCMu(Drift):
+class GeneralisedCMu(SpeedWeight):
     """Weight k (floor + v^2) (lambda_mean / lambda)^2: the cost of a lag F / lambda is (v lag)^2.
 
     The generalised c mu rule: Van Mieghem, Annals of Applied Probability 5(3), 1995; Mandelbaum and
@@ -122,21 +144,16 @@ class GeneralisedCMu(Drift):
     look: ClassVar[Look] = Look(
         "generalised c\N{GREEK SMALL LETTER MU}", "#CC6677", (0, (10, 1.5, 1, 1.5)), "d"
     )
-    knows_task = True
+    by_packets = True
     urllc_factor: Factor = 1.0
     floor: Floor = 0.05
     speed: Speed = "newest"
     weighs: Weighs = "drift"
 
-    def words(self, setup: Setup) -> TaskWords:
-        """As in `Model`."""
-        what, both = _SPEED[self.speed], self.weighs == "both"
-        return TaskWords(self.urllc_factor, self.floor, what, 1.0, True, both)
-
 
 @RULES.model
 @dataclass(frozen=True, kw_only=True)
-class ErrorWeight(Drift):
+class ErrorWeight(TaskWeight):
     """Weight k (floor + e^2 / (2 cm)^2), e the tracking error as last reported.
 
     Error-dependent scheduling: Mamduhi, Molin, Tolic and Hirche, Automatica 81, 2017.
@@ -144,20 +161,15 @@ class ErrorWeight(Drift):
 
     model: Literal["error_weight"] = "error_weight"
     look: ClassVar[Look] = Look("error", "#AA4499", (0, (10, 1.5, 1, 1.5, 1, 1.5)), "H")
-    knows_task = True
+    what, scale = ERROR, ERROR_SCALE_M
     urllc_factor: Factor = 1.0
     floor: Floor = 0.1
     weighs: Weighs = "drift"
 
-    def words(self, setup: Setup) -> TaskWords:
-        """As in `Model`."""
-        both = self.weighs == "both"
-        return TaskWords(self.urllc_factor, self.floor, ERROR, ERROR_SCALE_M, False, both)
-
 
 @RULES.model
 @dataclass(frozen=True, kw_only=True)
-class GapWeight(Drift):
+class GapWeight(TaskWeight):
     """Weight k (floor + g^2 / (2 cm)^2), g the distance of the newest and the held set-point.
 
     The error of try-once-discard: Walsh and Ye, IEEE Control Systems Magazine 21(1), 2001; value of
@@ -166,21 +178,16 @@ class GapWeight(Drift):
 
     model: Literal["gap_weight"] = "gap_weight"
     look: ClassVar[Look] = Look("gap", "#6F4C9B", (0, (10, 1.5, 3, 1.5)), "8")
+    what, scale = GAP, ERROR_SCALE_M
     reads_age = True
-    knows_task = True
     urllc_factor: Factor = 1.0
     floor: Floor = 0.1
     weighs: Weighs = "drift"
 
-    def words(self, setup: Setup) -> TaskWords:
-        """As in `Model`."""
-        both = self.weighs == "both"
-        return TaskWords(self.urllc_factor, self.floor, GAP, ERROR_SCALE_M, False, both)
-
 
 @RULES.model
 @dataclass(frozen=True, kw_only=True)
-class Surprise(Drift):
+class Surprise(TaskWeight):
     """Weight k (floor + a^2 / (3 m/s^2)^2), a the acceleration of the newest set-point.
 
     For robots that extrapolate: they cannot predict it. Of this project.
@@ -188,15 +195,10 @@ class Surprise(Drift):
 
     model: Literal["surprise"] = "surprise"
     look: ClassVar[Look] = Look("surprise", "#A6761D", (0, (10, 1.5, 3, 1.5, 3, 1.5)), "P")
-    knows_task = True
+    what, scale = ACCELERATION, ACCELERATION_SCALE_MPS2
     urllc_factor: Factor = 1.0
     floor: Floor = 0.1
     weighs: Weighs = "drift"
-
-    def words(self, setup: Setup) -> TaskWords:
-        """As in `Model`."""
-        both, scale = self.weighs == "both", ACCELERATION_SCALE_MPS2
-        return TaskWords(self.urllc_factor, self.floor, ACCELERATION, scale, False, both)
 
 
 @RULES.model
@@ -280,8 +282,6 @@ class ToleranceWords(NamedTuple):
 def index_task_edf(me: ToleranceWords, constants: Any, state: Any, slot: Any, env: int) -> None:
     """W - D, D of the task for URLLC users, and the rate that empties the queue."""
     for user in range(state.index_weight.shape[1]):
-        packets = state.backlog_packets[env, user]
-        state.need_mbps[env, user] = need_mbps(constants, state, env, user, packets)
         deadline = constants.deadline_s[user]
         if user < constants.num_urllc:
             speed = _speed_mps(state, env, user, me.speed)
@@ -289,7 +289,7 @@ def index_task_edf(me: ToleranceWords, constants: Any, state: Any, slot: Any, en
             if speed * deadline > me.tolerance_m:
                 deadline = max(LEAST_DEADLINE_S, me.tolerance_m / speed)
             deadline -= constants.loop.core_latency_s
-        state.index_weight[env, user] = state.hol_delay_s[env, user] - deadline
+        order_by_deadline(constants, state, env, user, deadline)
 
 
 @RULES.model
@@ -326,12 +326,9 @@ def index_try_once_discard(me: GapWords, constants: Any, state: Any, slot: Any, 
     num_urllc, num_users = constants.num_urllc, state.index_weight.shape[1]
     urgency = state.index_weight[env]
     for user in range(num_users):
-        packets = state.backlog_packets[env, user]
-        state.need_mbps[env, user] = need_mbps(constants, state, env, user, packets)
+        order_by_deadline(constants, state, env, user, constants.deadline_s[user])
         if user < num_urllc:
             urgency[user] = state.set_point_gap_m[env, user]
-        else:
-            urgency[user] = state.hol_delay_s[env, user] - constants.deadline_s[user]
     largest = 0.0
     for user in range(num_urllc, num_users):
         largest = max(largest, urgency[user])
