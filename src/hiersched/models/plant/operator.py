@@ -37,6 +37,7 @@ class OperatorWords(NamedTuple):
     offset: NDArray[np.int64]  # (E, R) row in which each robot starts
     first: NDArray[np.int64]  # (E, R) row in which each operator's reference starts
     drawn: NDArray[np.bool_]  # (R,) whether an operator reaches: worlds draw that
+    world: NDArray[np.uint64]  # (E, 2) key whose reaches lie in the tables, and whether any do
     scale: NDArray[np.float64]  # (R,)
     pace: NDArray[np.float64]  # (R,)
     shuffles: bool  # whether each world deals the operators to its robots anew
@@ -76,6 +77,7 @@ def operator_words(setup: Setup) -> OperatorWords:
         offset=first.copy(),
         first=first,
         drawn=drawn,
+        world=np.zeros((num_envs, 2), np.uint64),
         scale=np.array([task.scale for task in tasks]),
         pace=np.array([task.pace for task in tasks]),
         shuffles=robot.reference_shuffle,
@@ -103,19 +105,35 @@ def _put(words: OperatorWords, rows: slice, table: ReferenceTable) -> None:
 
 
 def draw_references(words: OperatorWords, keys: NDArray[np.uint64]) -> None:
-    """Draw the reaches of the worlds `keys` (E,), and deal the operators to their robots."""
-    num_robots = len(words.drawn)
-    speed, turn_rate = np.zeros(words.num_steps), np.zeros(words.num_steps)
-    uniform = np.empty(num_robots)
-    for env, key in enumerate(keys):
-        for operator in np.flatnonzero(words.drawn):
-            draw_reaches(words, key, operator, uniform, speed, turn_rate)
-            start = words.first[env, operator]
-            table = integrated(speed, turn_rate, words.step_s, np.zeros(3))
-            _put(words, slice(start, start + words.num_steps + 1), table)
+    """Draw the reaches of the worlds `keys` (E,), and deal the operators to their robots.
+
+    It takes as long as hundreds of slots: what is there already stays, and equal worlds share it.
+    """
+    uniform = np.empty(len(words.drawn))
+    _, distinct, which = np.unique(keys, return_index=True, return_inverse=True)
+    for env in distinct:
+        key = keys[env]
+        if words.world[env, 0] != key or not words.world[env, 1]:
+            _draw_world(words, env, key, uniform)
         if words.shuffles:
             draw_uniforms(key, STREAM_REFERENCE, 0, _SHUFFLE, uniform)
             words.offset[env] = words.first[env, np.argsort(uniform)]
+        else:
+            words.offset[env] = words.first[env]
+    words.offset[:] = words.offset[distinct[which]]
+
+
+def _draw_world(
+    words: OperatorWords, env: int, key: np.uint64, scratch: NDArray[np.float64]
+) -> None:
+    """Draw the reaches of a world into the rows of an environment."""
+    speed, turn_rate = np.zeros(words.num_steps), np.zeros(words.num_steps)
+    for operator in np.flatnonzero(words.drawn):
+        draw_reaches(words, key, operator, scratch, speed, turn_rate)
+        start = words.first[env, operator]
+        table = integrated(speed, turn_rate, words.step_s, np.zeros(3))
+        _put(words, slice(start, start + words.num_steps + 1), table)
+    words.world[env, 0], words.world[env, 1] = key, 1
 
 
 @kernel()
