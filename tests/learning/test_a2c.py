@@ -33,7 +33,6 @@ def random_outcome(rng):
         base_reward=rng.normal(size=(SEEDS, ENVS, USERS)),
         constraint=rng.normal(size=(SEEDS, ENVS, URLLC)),
         next_features=rng.normal(size=(SEEDS, ENVS, USERS, 8)).astype(np.float32),
-        record=None,
     )
 
 
@@ -232,7 +231,6 @@ def test_a_two_state_problem_is_solved(scenario, network):
             base_reward=reward.astype(np.float64),
             constraint=np.zeros((SEEDS, 32, URLLC)),
             next_features=states[which],
-            record=None,
         )
         learner.learn(outcome, np.zeros((SEEDS, URLLC)), last=True)
     learner._learning = replace(learner._learning, exploration_std=0.0, exploration_final_std=0.0)
@@ -275,7 +273,6 @@ def credit(scenario, advantage, *, shared_by_all):
             base_reward=(earned + 0.3 * rng.normal(size=earned.shape)).astype(np.float64),
             constraint=np.zeros((SEEDS, 4, 10)),
             next_features=features,
-            record=None,
         )
         learner.learn(outcome, np.zeros((SEEDS, 10)), last=True)
     actions = learner.act(features)

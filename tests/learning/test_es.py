@@ -8,10 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hiersched.learning.algorithm import Outcome
 from hiersched.learning.es import EvolutionStrategy, centred_ranks
 
-SEEDS, USERS, URLLC, PAIRS, WORLDS = 2, 5, 3, 4, 2
+SEEDS, USERS, URLLC, PAIRS, WORLDS, FEATURES = 2, 5, 3, 4, 2, 8
 MEMBERS = 2 * PAIRS + 1
 
 
@@ -29,23 +28,22 @@ def learner_for(scenario, **changes):
     return EvolutionStrategy(replace(scenario, learning=learning), generators)
 
 
-def outcome_of(features, error_m, served, base_reward=None):
-    """An outcome; errors (seeds, E, R) and packets served of eMBB users (seeds, E, 2)."""
-    seeds, envs = features.shape[:2]
-    packets = np.zeros((seeds * envs, 1, USERS))
-    packets[:, 0, URLLC:] = served.reshape(-1, 2)
-    record = SimpleNamespace(
-        tracking_error_m=error_m.reshape(-1, 1, URLLC),
+def record_of(error_m, served, reward=None):
+    """Slots with errors (seeds, E, T, R), packets served of eMBB users (seeds, E, T, 2), rewards.
+
+    Rewards are (2, seeds, E, T), of the URLLC and the eMBB agent.
+    """
+    envs, slots = np.prod(error_m.shape[:2]), error_m.shape[2]
+    packets = np.zeros((envs, slots, USERS))
+    packets[:, :, URLLC:] = served.reshape(envs, slots, 2)
+    reward = np.zeros((2, envs, slots)) if reward is None else reward.reshape(2, envs, slots)
+    return SimpleNamespace(
+        tracking_error_m=error_m.reshape(envs, slots, URLLC),
         backlog_packets=np.zeros_like(packets),
         arrivals_packets=packets,
         service_packets=packets + 7.0,
-    )
-    return Outcome(
-        prb_count=np.ones((seeds, envs, USERS), np.uint32),
-        base_reward=np.zeros((seeds, envs, USERS)) if base_reward is None else base_reward,
-        constraint=np.zeros((seeds, envs, URLLC)),
-        next_features=features,
-        record=record,
+        reward_urllc=reward[0],
+        reward_embb=reward[1],
     )
 
 
@@ -59,75 +57,91 @@ def test_ranks_by_hand():
 def test_fitness_by_hand(scenario):
     """Errors of 3 and 4 cm in two slots of one world; a member serves 98.5 % of the start."""
     learner = learner_for(scenario, shortfall_price=10.0)
-    features = np.zeros((SEEDS, MEMBERS * WORLDS, USERS, 8), np.float32)
-    learner.start_round(features)
+    learner.population(explores=True)
     served = np.full((SEEDS, MEMBERS, WORLDS, 2), 100.0)
     served[:, 4] = 98.5
     served[:, 5] = 99.6
     served[:, 6] = 200.0
-    error = np.full((SEEDS, MEMBERS * WORLDS, URLLC), 0.03)
-    shape = SEEDS, MEMBERS * WORLDS, 2
-    multipliers = np.zeros((SEEDS, URLLC))
-    learner.learn(outcome_of(features, error, served.reshape(shape)), multipliers, last=False)
+    error = np.full((SEEDS, MEMBERS * WORLDS, 1, URLLC), 0.03)
+    shape = SEEDS, MEMBERS * WORLDS, 1, 2
+    learner.watch(record_of(error, served.reshape(shape)))
     error[:, 3 * WORLDS] = 0.04
-    learner.learn(outcome_of(features, error, served.reshape(shape)), multipliers, last=False)
+    learner.watch(record_of(error, served.reshape(shape)))
     fitness = learner._fitness()
     wanted = np.full((SEEDS, MEMBERS), -np.log(3.0))
-    wanted[:, 3] = -np.log((np.sqrt(12.5) + 3.0) / 2)
+    wanted[:, 3] = -0.5 * (np.log(np.sqrt(12.5)) + np.log(3.0))
     wanted[:, 4] -= 10.0 * 0.01
     np.testing.assert_allclose(fitness, np.repeat(wanted[..., None], 2, axis=2))
 
 
-def test_members_are_mirror_images_in_the_same_worlds_beside_the_start(scenario):
+def test_slots_may_come_one_by_one_or_together(scenario):
+    rng = np.random.default_rng(2)
+    error = rng.random((SEEDS, MEMBERS * WORLDS, 6, URLLC))
+    served = rng.random((SEEDS, MEMBERS * WORLDS, 6, 2))
+    rewards = rng.random((2, SEEDS, MEMBERS * WORLDS, 6))
+    for fitness in ("tracking", "reward"):
+        found = []
+        for size in (1, 2, 6):
+            learner = learner_for(scenario, fitness=fitness)
+            learner.population(explores=True)
+            for first in range(0, 6, size):
+                part = np.s_[:, :, first : first + size]
+                own = rewards[..., first : first + size]
+                learner.watch(record_of(error[part], served[part], own))
+            found.append(learner._fitness())
+        np.testing.assert_allclose(found[1], found[0], rtol=1e-12)
+        np.testing.assert_allclose(found[2], found[0], rtol=1e-12)
+
+
+def test_members_are_mirror_images_beside_the_start_and_centres_stand_alone(scenario):
     learner = learner_for(scenario)
-    rng = np.random.default_rng(3)
-    world = rng.normal(size=(SEEDS, WORLDS, USERS, 8)).astype(np.float32)
-    features = np.tile(world, (1, MEMBERS, 1, 1))
-    learner.start_round(features)
-    raw = np.arctanh(learner.explore(features, 0.0).astype(np.float64))
-    raw = raw.reshape(SEEDS, MEMBERS, WORLDS, USERS)
-    assert (raw[:, 0] == 0.0).all()
-    np.testing.assert_allclose(raw[:, 1 : PAIRS + 1], -raw[:, PAIRS + 1 :], rtol=1e-4)
-    assert (np.abs(raw[:, 1:]) > 0.0).all()
+    centre = np.random.default_rng(4).normal(size=learner.actor.shape).astype(np.float32)
+    learner.actor[:] = learner.actor.new_tensor(centre)
+    centre = centre.reshape(SEEDS, 2, -1)
+    members = learner.population(explores=True).parameters.reshape(SEEDS, MEMBERS, 2, -1)
+    assert (members[:, 0] == 0.0).all()
+    moved = members[:, 1:] - centre[:, None]
+    np.testing.assert_allclose(moved[:, :PAIRS], -moved[:, PAIRS:], atol=1e-6)
+    assert (np.abs(moved) > 0.0).all()
+    assert not np.array_equal(moved[0], moved[1])
+    np.testing.assert_array_equal(learner.population(explores=False).parameters, centre)
 
 
 def test_one_update_by_hand(scenario):
     """The first step goes down the slope, which is as long as the parameters on average.
 
-    A fifth of it: the rest is momentum for later. The slope is that of ranks over disturbances.
+    A fifth of it: the rest is momentum for later; and at half of the training half the rate. The
+    slope is that of ranks over disturbances.
     """
     learner = learner_for(scenario, fitness="reward", reward="independent", gradient_clip=1e9)
     rng = np.random.default_rng(5)
-    features = rng.normal(size=(SEEDS, MEMBERS * WORLDS, USERS, 8)).astype(np.float32)
-    learner.start_round(features)
+    learner.population(explores=True)
     noise = learner._noise.astype(np.float64)
-    reward = rng.normal(size=(SEEDS, MEMBERS, WORLDS, USERS))
-    none = np.ones((SEEDS, MEMBERS * WORLDS, URLLC))
-    outcome = outcome_of(features, none, none[..., :2], reward.reshape(SEEDS, -1, USERS))
-    losses = learner.learn(outcome, np.zeros((SEEDS, URLLC)), last=True)
+    reward = rng.normal(size=(2, SEEDS, MEMBERS, WORLDS, 3))
+    none = np.ones((SEEDS, MEMBERS * WORLDS, 3, URLLC))
+    learner.watch(record_of(none, none[..., :2], reward))
+    losses = learner.finish_round(0.5)
     moved = learner.actor.numpy().reshape(SEEDS, 2, -1)
     for seed in range(SEEDS):
-        for agent, users in enumerate((slice(0, URLLC), slice(URLLC, USERS))):
-            worth = reward[seed, 1:, :, users].mean((1, 2))
+        for agent in range(2):
+            worth = reward[agent, seed, 1:].mean((1, 2))
             ranks = np.argsort(np.argsort(worth)) / (2 * PAIRS - 1) - 0.5
             slope = (ranks[:, None] * noise[seed, :, agent]).sum(0)
-            step = 0.05 * 0.2 * slope / np.sqrt(np.mean(slope**2))
+            step = 0.5 * 0.05 * 0.2 * slope / np.sqrt(np.mean(slope**2))
             np.testing.assert_allclose(moved[seed, agent], step, rtol=1e-4, atol=1e-7)
             assert losses.actor[seed, agent] == pytest.approx(-worth.mean())
 
 
 def evolve(learner, rounds, rng):
-    """Robots err by how far their users' actions are from 0.4 x_0 - 0.3; eMBB by rewards."""
+    """Robots err by how far their users' actions are from 0.4 x_0 - 0.3; eMBB does not matter."""
     for _ in range(rounds):
-        world = rng.normal(size=(SEEDS, WORLDS, USERS, 8)).astype(np.float32)
-        features = np.tile(world, (1, MEMBERS, 1, 1))
-        learner.start_round(features)
-        for slot in range(2):
-            actions = learner.explore(features, 0.0)
-            error = np.abs(actions - np.tanh(0.4 * features[..., 0] - 0.3))[..., :URLLC]
-            served = np.full((*actions.shape[:2], 2), 50.0)
-            outcome = outcome_of(features, 0.001 + error, served)
-            learner.learn(outcome, np.zeros((SEEDS, URLLC)), last=slot == 1)
+        world = rng.normal(size=(WORLDS, URLLC, FEATURES))
+        actors = learner.population(explores=True).parameters[:, 0].astype(np.float64)
+        actions = np.tanh(np.einsum("wrf,mf->mwr", world, actors[:, 1:]) + actors[:, :1, None])
+        error = 0.001 + np.abs(actions - np.tanh(0.4 * world[..., 0] - 0.3))
+        served = np.full((SEEDS, MEMBERS * WORLDS, 1, 2), 50.0)
+        learner.watch(record_of(error.reshape(SEEDS, MEMBERS * WORLDS, 1, URLLC), served))
+        learner.finish_round(0.0)
 
 
 def test_a_policy_that_is_known_is_found_and_found_again(scenario):

@@ -34,7 +34,6 @@ def fill(replay, episodes, slots_of_last):
                     base_reward=at(slot, (USERS,)),
                     constraint=at(slot, (URLLC,)),
                     next_features=at(slot + 1, (USERS, 8)),
-                    record=None,
                 )
             )
             seen.append((episode, slot))

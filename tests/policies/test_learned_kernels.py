@@ -9,6 +9,7 @@ import sys
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 
 import llvmlite.binding
 import numpy as np
@@ -17,7 +18,8 @@ import torch
 
 from hiersched.core.pointer import Pointer
 from hiersched.env import action_weights
-from hiersched.learning.es import EvolutionStrategy
+from hiersched.learning.es import Population
+from hiersched.learning.networks import learner_network
 from hiersched.policies.features import num_features, observe_worlds
 from hiersched.policies.learned import network_words
 from hiersched.policies.trained import TrainedPolicy
@@ -31,11 +33,12 @@ def random_parameters(
     """Networks whose actions are spread over (-1, 1)."""
     rng = np.random.default_rng(7)
     count = num_features(observe_robots, observe_demand)
-    inputs, outputs = (
-        (3 * count, 1)
-        if network == "shared"
-        else ((num_urllc + num_embb) * count, max(num_urllc, num_embb))
-    )
+    users = num_urllc + num_embb, max(num_urllc, num_embb)
+    inputs, outputs = {
+        "linear": (count, 1),
+        "shared": (3 * count, 1),
+        "mlp": (users[0] * count, users[1]),
+    }[network]
     parts = []
     for rows, columns in pairwise((inputs, *hidden, outputs)):
         parts.append(rng.uniform(-1.0, 1.0, (2, (rows + 1) * columns)) * 1.5 * rows**-0.5)
@@ -135,14 +138,12 @@ def test_a_linear_policy_has_the_bits_of_its_training(
     got = weigh(words, constants, state)
     features = np.empty((60, num_urllc + num_embb, count), np.float32)
     observe_worlds(Pointer(constants), Pointer(state), observe_robots, observe_demand, features)
-    learning = replace(
-        scenario.learning, algorithm="es", network="linear", num_envs=13, seeds=(1,), **observed
-    )
+    learning = replace(scenario.learning, algorithm="a2c", network="linear", **observed)
     users = replace(scenario.users, num_urllc=num_urllc, num_embb=num_embb)
-    learner = EvolutionStrategy(replace(scenario, users=users, learning=learning), [])
-    assert learner.actor.shape == parameters.shape
-    learner.actor.copy_(torch.from_numpy(parameters))
-    actions = learner.act(features[None])[0]
+    network = learner_network(learning, users)
+    inputs = network.inputs(torch.from_numpy(features[None]))
+    raw = network.raw_actions(network.actor_outputs(torch.from_numpy(parameters), inputs), 1)
+    actions = np.tanh(raw[0].numpy().astype(np.float64)).astype(np.float32)
     np.testing.assert_array_equal(action_weights(actions, EXPONENT), got)
     for env, user in ((0, 0), (59, num_urllc), (30, num_urllc + num_embb - 1)):
         agent = int(user >= num_urllc)
@@ -152,6 +153,38 @@ def test_a_linear_policy_has_the_bits_of_its_training(
         wanted = np.exp(EXPONENT * np.float64(np.float32(np.tanh(np.float64(np.float32(total))))))
         assert got[env, user] == np.float32(wanted)
     assert np.std(np.log(got)) > 0.1
+
+
+@pytest.mark.parametrize(("network", "hidden"), [("shared", (9, 6)), ("mlp", (9,)), ("linear", ())])
+def test_policies_side_by_side_have_the_bits_of_each_alone(make_worlds, weigh, network, hidden):
+    """A population of three policies in two worlds each, whose parameters change in place."""
+    learning = SimpleNamespace(
+        start="pf",
+        weighs="utility",
+        network=network,
+        hidden=hidden or (64, 64),
+        observe_robots=True,
+        observe_demand=True,
+        weight_exponent=EXPONENT,
+    )
+    sizes = {"num_urllc": 4, "num_embb": 7, "observe_robots": True, "observe_demand": True}
+    one = random_parameters(network, hidden, **sizes)
+    rng = np.random.default_rng(6)
+    population = Population(learning, SimpleNamespace(num_urllc=4, num_embb=7))
+    setup = SimpleNamespace(num_envs=6)
+    words = None
+    for _ in range(2):
+        three = np.stack([one * factor for factor in rng.uniform(0.5, 1.5, 3)]).astype(np.float32)
+        population.become(three)
+        words = words or population.words(setup)
+        got = weigh(words, *make_worlds(4, 7, num_envs=6))
+        assert np.std(np.log(got)) > 0.01
+        for policy in range(3):
+            alone = network_words(three[policy], network, hidden, weight_exponent=EXPONENT, **sizes)
+            wanted = weigh(alone, *make_worlds(4, 7, num_envs=6))
+            mine = slice(2 * policy, 2 * policy + 2)
+            np.testing.assert_array_equal(got[mine], wanted[mine])
+            assert not np.array_equal(got, wanted)
 
 
 @pytest.mark.parametrize(("network", "hidden"), [("linear", (4,)), ("shared", ()), ("mlp", ())])

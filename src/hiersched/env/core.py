@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from hiersched.core.randomness import world_key
 from hiersched.policies.features import LEAST_PACKETS, SPEED_FLOOR_M2PS2
+from hiersched.policies.policy import Weigher
 from hiersched.scenario.schema import Learning, Scenario
 from hiersched.simulator import Gains, Simulator, SlotRecord
 from hiersched.simulator.gain_source import scenario_gains
@@ -156,6 +157,10 @@ class SlotLoop:
             observe_robots=learning.observe_robots,
             observe_demand=learning.observe_demand,
         )
+
+    def run(self, policy: Weigher, record: SlotRecord) -> None:
+        """Run as many slots as the record has under a compiled policy."""
+        self.simulator.run(policy, multipliers=self.multipliers, record=record)
 
     def step(self, actions: NDArray[np.floating]) -> NDArray[np.float32]:
         """Run one slot under actions (E, U), to be found in `record`; returns the next features.

@@ -12,18 +12,18 @@ from torch import Tensor
 
 from hiersched.learning.networks import initial_stack, learner_network
 from hiersched.learning.stack import StackedAdam
+from hiersched.policies.policy import Weigher
 from hiersched.scenario.schema import Scenario
 from hiersched.simulator import SlotRecord
 
 
 class Outcome(NamedTuple):
-    """What a slot brought, leading axes (seeds, E); `record` is overwritten by the next slot."""
+    """What a slot brought, leading axes (seeds, E)."""
 
     prb_count: NDArray[np.uint32]  # (U,) executed
     base_reward: NDArray[np.float64]  # (U,) of each user, without the constraint
     constraint: NDArray[np.float64]  # (R,) y of each URLLC user
     next_features: NDArray[np.float32]  # (U, F) at the start of the next slot
-    record: SlotRecord  # leading axes (seeds * E, 1)
 
 
 @dataclass
@@ -36,6 +36,9 @@ class Losses:
 
 class Algorithm:
     """How the agents of all seeds explore and learn; the trainer runs the worlds.
+
+    Most act slot by slot, with `act`, `explore` and `learn`. One whose `population` is a policy
+    lets it run whole episodes, watches them and learns behind.
 
     This one learns nothing, the control `learning.frozen`: its actors output 0, which is the
     scheduler `learning.start`, and explore with the noise of `learning.algorithm`. What its rewards
@@ -51,6 +54,20 @@ class Algorithm:
         self._generators = generators
         self.network = learner_network(learning, scenario.users)
         self.actor = initial_stack(self.network.actor, "actor", learning.seeds, zero_output=True)
+
+    def population(self, *, explores: bool) -> Weigher | None:
+        """Return what acts in the coming episodes of all worlds, or None: slot by slot.
+
+        It `explores`, or runs without noise.
+        """
+        return None
+
+    def watch(self, record: SlotRecord) -> None:
+        """Take in slots that a population which explores has run, leading axes (seeds * E, T)."""
+
+    def finish_round(self, done: float) -> Losses:
+        """Learn from the episodes that it has watched; a share `done` of the training is over."""
+        raise NotImplementedError
 
     def start_round(self, features: NDArray[np.float32]) -> None:
         """Begin a round of episodes with features (seeds, E, U, F)."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,24 +26,25 @@ class RoundSums:
         self._tracking_error = np.zeros(num_seeds)
         self._losses: list[Losses] = []
 
-    def add(self, one: SlotRecord) -> None:
-        """Add one slot of all environments."""
+    def add(self, record: SlotRecord) -> None:
+        """Add slots of all environments."""
         num_seeds, num_urllc = self._constraint.shape
-        self.slots += len(one.reward_urllc) // num_seeds
+        self.slots += record.reward_urllc.size // num_seeds
 
-        def by_seed(values: NDArray[np.float64]) -> NDArray[np.float64]:
-            total: NDArray[np.float64] = values.reshape(num_seeds, -1, *values.shape[1:]).sum(1)
+        def by_seed(values: NDArray[Any]) -> NDArray[np.float64]:
+            values = values.reshape(num_seeds, -1, *values.shape[2:])
+            total: NDArray[np.float64] = values.sum(1, dtype=np.float64)
             return total
 
-        self.due_packets += by_seed(one.due_packets[:, 0, :num_urllc].astype(np.float64))
-        self.late_packets += by_seed(one.late_packets[:, 0, :num_urllc].astype(np.float64))
-        self._constraint += by_seed(one.constraint[:, 0])
-        self._reward += by_seed(one.reward_urllc[:, 0]), by_seed(one.reward_embb[:, 0])
-        self._tracking_error += by_seed(one.tracking_error_m[:, 0].mean(-1))
-        backlog = one.backlog_packets[:, 0]
+        self.due_packets += by_seed(record.due_packets[..., :num_urllc])
+        self.late_packets += by_seed(record.late_packets[..., :num_urllc])
+        self._constraint += by_seed(record.constraint)
+        self._reward += by_seed(record.reward_urllc), by_seed(record.reward_embb)
+        self._tracking_error += by_seed(record.tracking_error_m.mean(-1))
+        backlog = record.backlog_packets
         self._backlog += (
-            by_seed(backlog[:, :num_urllc].mean(-1)),
-            by_seed(backlog[:, num_urllc:].mean(-1)),
+            by_seed(backlog[..., :num_urllc].mean(-1)),
+            by_seed(backlog[..., num_urllc:].mean(-1)),
         )
 
     def add_losses(self, losses: Losses) -> None:

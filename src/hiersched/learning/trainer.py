@@ -22,6 +22,7 @@ from hiersched.learning.checkpoint import load_checkpoint, save_checkpoint
 from hiersched.learning.multiplier import Multiplier, episode_constraint, step_multiplier
 from hiersched.learning.progress import RoundSums, write_progress
 from hiersched.learning.rewards import user_rewards
+from hiersched.policies.policy import Weigher
 from hiersched.policies.trained import TrainedPolicy
 from hiersched.scenario import Scenario, scenario_sha256
 from hiersched.scenario.schema import checkpoint_rounds, worlds_per_round
@@ -32,8 +33,10 @@ CHECKPOINT = "checkpoint"
 
 Blocks = dict[str, NDArray[Any]]
 OnSlots = Callable[[int, Blocks], None]
-OnSlot = Callable[[SlotRecord, int], None]
-"""Is given every slot's record, leading axes (seeds * worlds, 1), and the slot's index."""
+OnRecord = Callable[[SlotRecord, int], None]
+"""Is given slots as they have run, leading axes (seeds * worlds, T), and the first one's index."""
+SLOTS_AT_ONCE = 25
+"""Most slots that a population runs before anyone looks: a bound on memory."""
 
 
 class Trainer:
@@ -87,22 +90,19 @@ class Trainer:
         """Run one slot under actions (seeds, E, U); returns the next features."""
         return self._by_seed(loop.step(actions.reshape(len(loop.multipliers), -1)))
 
-    def run_round(self, on_slot: OnSlot) -> RoundSums:
-        """One episode in every environment; the algorithm learns as they run."""
-        loop, algorithm = self.loop, self.algorithm
-        slots = self.scenario.learning.slots_per_episode
-        features = self._start(loop, self._worlds())
-        algorithm.start_round(features)
+    def run_round(self, on_record: OnRecord) -> RoundSums:
+        """One episode in every environment; the algorithm learns as they run, or behind."""
         sums = RoundSums(self.num_seeds, self.scenario.users.num_urllc)
-        for slot in range(slots):
-            done = (self.round + slot / slots) / self.num_rounds
-            features = self._step(loop, algorithm.explore(features, done))
-            outcome = self._outcome(features)
-            sums.add(loop.record)
-            on_slot(loop.record, slot)
-            losses = algorithm.learn(outcome, self.multiplier.value, last=slot == slots - 1)
-            if losses is not None:
-                sums.add_losses(losses)
+        features = self._start(self.loop, self._worlds())
+        population = self.algorithm.population(explores=True)
+        if population is None:
+            self._act_and_learn(features, sums, on_record)
+        else:
+            for slot, record in self._episode_of(population, self.loop):
+                sums.add(record)
+                on_record(record, slot)
+                self.algorithm.watch(record)
+            sums.add_losses(self.algorithm.finish_round(self.round / self.num_rounds))
         objective = self.scenario.objective
         constraint = episode_constraint(
             objective,
@@ -115,12 +115,44 @@ class Trainer:
         self.round += 1
         return sums
 
-    def run_checkpoint(self, on_slot: OnSlot) -> None:
+    def _act_and_learn(
+        self, features: NDArray[np.float32], sums: RoundSums, on_record: OnRecord
+    ) -> None:
+        """Run the episodes of a round slot by slot."""
+        loop, algorithm = self.loop, self.algorithm
+        slots = self.scenario.learning.slots_per_episode
+        algorithm.start_round(features)
+        for slot in range(slots):
+            done = (self.round + slot / slots) / self.num_rounds
+            features = self._step(loop, algorithm.explore(features, done))
+            outcome = self._outcome(features)
+            sums.add(loop.record)
+            on_record(loop.record, slot)
+            losses = algorithm.learn(outcome, self.multiplier.value, last=slot == slots - 1)
+            if losses is not None:
+                sums.add_losses(losses)
+
+    def _episode_of(self, population: Weigher, loop: SlotLoop) -> Iterator[tuple[int, SlotRecord]]:
+        """Run the episodes that have begun; yield what has run, and its first slot."""
+        slots = self.scenario.learning.slots_per_episode
+        at_once = max(n for n in range(1, SLOTS_AT_ONCE + 1) if slots % n == 0)
+        record = loop.simulator.new_record(at_once)
+        for slot in range(0, slots, at_once):
+            loop.run(population, record)
+            yield slot, record
+
+    def run_checkpoint(self, on_record: OnRecord) -> None:
         """Run one episode in every fixed world without noise; nothing is learnt from it."""
-        features = self._start(self.fixed_loop, self._fixed_worlds)
+        loop = self.fixed_loop
+        features = self._start(loop, self._fixed_worlds)
+        population = self.algorithm.population(explores=False)
+        if population is not None:
+            for slot, record in self._episode_of(population, loop):
+                on_record(record, slot)
+            return
         for slot in range(self.scenario.learning.slots_per_episode):
-            features = self._step(self.fixed_loop, self.algorithm.act(features))
-            on_slot(self.fixed_loop.record, slot)
+            features = self._step(loop, self.algorithm.act(features))
+            on_record(loop.record, slot)
 
     def _outcome(self, following: NDArray[np.float32]) -> Outcome:
         """Say what the last slot brought, by seed; its record is overwritten by the next one."""
@@ -132,7 +164,6 @@ class Trainer:
             ),
             constraint=self._by_seed(one.constraint[:, 0]).copy(),
             next_features=following,
-            record=one,
         )
 
     def policies(self) -> tuple[TrainedPolicy, ...]:
@@ -199,9 +230,9 @@ class _EpisodeBlocks:
         slots = loop.simulator.num_slots
         self._whole = None if on_slots is None else loop.simulator.new_record(slots)
 
-    def add(self, one: SlotRecord, slot: int) -> None:
+    def add(self, record: SlotRecord, slot: int) -> None:
         if self._whole is not None:
-            self._whole.rows[:, slot] = one.rows[:, 0]
+            self._whole.rows[:, slot : slot + record.rows.shape[1]] = record.rows
 
     def hand_over(self) -> None:
         if self._on_slots is None or self._whole is None:
@@ -262,9 +293,9 @@ def train(
         ) as bar,
     ):
 
-        def on_slot(one: SlotRecord, slot: int) -> None:
-            blocks.add(one, slot)
-            bar.update(len(one.reward_urllc))
+        def on_record(record: SlotRecord, slot: int) -> None:
+            blocks.add(record, slot)
+            bar.update(record.reward_urllc.size)
 
         def run_fixed() -> None:
             trainer.run_checkpoint(fixed.add)
@@ -273,7 +304,7 @@ def train(
         if trainer.round == 0 and 0 in rounds:
             run_fixed()
         while trainer.round < trainer.num_rounds:
-            sums = trainer.run_round(on_slot)
+            sums = trainer.run_round(on_record)
             blocks.hand_over()
             if trainer.round in rounds:
                 run_fixed()

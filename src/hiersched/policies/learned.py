@@ -8,6 +8,9 @@ usual weights, 2e-6 for some three times as steep.
 
 The work arrays are part of a policy's words: one thread at a time may use them, and what they
 hold means nothing between two calls.
+
+Words hold M policies side by side, which differ in their parameters alone: each runs in E / M
+worlds, the first one in the first of them. M is 1 but for the populations of a training.
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ NETWORKS = ("shared", "mlp", "linear")
 """Networks that have a kernel: small ones applied to every user, flat ones over all users, or one
 sum over a user's features."""
 _NUM_AGENTS = 2
+_ALL_ENVS = 2**62
 _LINE = 16
 """Floats of a cache line."""
 
@@ -43,11 +47,12 @@ class SharedWords(NamedTuple):
     observe_robots: bool
     observe_demand: bool
     weight_exponent: float  # c of w = exp(c a)
+    envs_per_policy: int  # E / M
     first_user: NDArray[np.int64]  # (3,) 0, users of slice 0, users of both
     sizes: NDArray[np.int64]  # (L,) H_1 ... H_L
-    table: NDArray[np.float32]  # (2, N, W) hidden layers one below another: bias, then weights
-    output_bias: NDArray[np.float32]  # (2, 1)
-    output_weight: NDArray[np.float32]  # (2, H_L)
+    table: NDArray[np.float32]  # (M, 2, N, W) hidden layers one below another: bias, then weights
+    output_bias: NDArray[np.float32]  # (M, 2, 1)
+    output_weight: NDArray[np.float32]  # (M, 2, H_L)
     features: NDArray[np.float32]  # (U, F) work array
     mean: NDArray[np.float32]  # (2, F) work array
     common: NDArray[np.float32]  # (H_1,) work array: what all users of a slice share
@@ -63,11 +68,12 @@ class FlatWords(NamedTuple):
     observe_robots: bool
     observe_demand: bool
     weight_exponent: float  # c of w = exp(c a)
+    envs_per_policy: int  # E / M
     first_user: NDArray[np.int64]  # (3,) 0, users of slice 0, users of both
     sizes: NDArray[np.int64]  # (L,) H_1 ... H_L
-    table: NDArray[np.float32]  # (2, N, W) hidden layers one below another: bias, then weights
-    output_bias: NDArray[np.float32]  # (2, n)
-    output_weight: NDArray[np.float32]  # (2, H_L, n)
+    table: NDArray[np.float32]  # (M, 2, N, W) hidden layers one below another: bias, then weights
+    output_bias: NDArray[np.float32]  # (M, 2, n)
+    output_weight: NDArray[np.float32]  # (M, 2, H_L, n)
     features: NDArray[np.float32]  # (U, F) work array
     hidden: NDArray[np.float32]  # (L, W) work array
     outputs: NDArray[np.float32]  # (n,) work array
@@ -79,10 +85,14 @@ class LinearWords(NamedTuple):
     observe_robots: bool
     observe_demand: bool
     weight_exponent: float  # c of w = exp(c a)
+    envs_per_policy: int  # E / M
     first_user: NDArray[np.int64]  # (3,) 0, users of slice 0, users of both
-    bias: NDArray[np.float32]  # (2,)
-    weight: NDArray[np.float32]  # (2, F)
+    bias: NDArray[np.float32]  # (M, 2)
+    weight: NDArray[np.float32]  # (M, 2, F)
     features: NDArray[np.float32]  # (U, F) work array
+
+
+NetworkWords = SharedWords | FlatWords | LinearWords
 
 
 def network_words(
@@ -95,15 +105,15 @@ def network_words(
     weight_exponent: float,
     num_urllc: int,
     num_embb: int,
-) -> SharedWords | FlatWords | LinearWords:
-    """Lay out a trained policy for its kernel, and check its shape (ValueError).
+) -> NetworkWords:
+    """Lay out trained policies for their kernel, and check their shape (ValueError).
 
-    `parameters` of both actors, shape (2, P), float32, are layer after layer biases, then weights
-    (inputs, outputs). `network` is one of `NETWORKS`, `hidden` the outputs of the hidden layers, of
-    which ``linear`` has none and the others one at least. `observe_robots` and `observe_demand` say
-    whether the features of the robots and of what their tasks ask for are observed;
-    `weight_exponent` is c of w = exp(c a). An ``mlp`` runs on the numbers of users that it was
-    trained on.
+    `parameters` of both actors, shape (2, P), or (M, 2, P) of M policies side by side with a world
+    each, float32, are layer after layer biases, then weights (inputs, outputs). `network` is one of
+    `NETWORKS`, `hidden` the outputs of the hidden layers, of which ``linear`` has none and the
+    others one at least. `observe_robots` and `observe_demand` say whether the features of the
+    robots and of what their tasks ask for are observed; `weight_exponent` is c of w = exp(c a). An
+    ``mlp`` runs on the numbers of users that it was trained on.
     """
     num_users, count = num_urllc + num_embb, num_features(observe_robots, observe_demand)
     sizes = layer_sizes(network, hidden, count, num_urllc, num_embb)
@@ -113,11 +123,13 @@ def network_words(
         "observe_robots": observe_robots,
         "observe_demand": observe_demand,
         "weight_exponent": float(weight_exponent),
+        "envs_per_policy": 1 if parameters.ndim == 3 else _ALL_ENVS,
         "first_user": np.array([0, num_urllc, num_users]),
         "features": np.zeros((num_users, count), np.float32),
     }
     if network == "linear":
-        return LinearWords(**fields, bias=biases[0][:, 0].copy(), weight=weights[0][:, :, 0].copy())
+        bias, weight = biases[0][..., 0].copy(), weights[0][..., 0].copy()
+        return LinearWords(**fields, bias=bias, weight=weight)
     fields |= {
         "sizes": np.array(hidden),
         "table": _table(biases[:-1], weights[:-1]),
@@ -132,7 +144,7 @@ def network_words(
         )
     return SharedWords(
         **fields,
-        output_weight=weights[-1][:, :, 0].copy(),
+        output_weight=weights[-1][..., 0].copy(),
         mean=np.zeros((_NUM_AGENTS, count), np.float32),
         common=np.zeros(hidden[0], np.float32),
     )
@@ -165,17 +177,18 @@ def num_parameters(sizes: tuple[int, ...]) -> int:
 def _layers(
     parameters: NDArray[np.float32], sizes: tuple[int, ...]
 ) -> tuple[list[NDArray[np.float32]], list[NDArray[np.float32]]]:
-    """Biases (2, outputs) and weights (2, inputs, outputs) of all layers, copies."""
+    """Biases (M, 2, outputs) and weights (M, 2, inputs, outputs) of all layers, copies."""
     wanted = _NUM_AGENTS, num_parameters(sizes)
-    if parameters.shape != wanted:
+    if parameters.shape[-2:] != wanted or parameters.ndim > 3:
         raise ValueError(
             f"parameters of shape {parameters.shape}: must be {wanted} for layers of {sizes}"
         )
+    parameters = parameters.reshape(-1, *wanted)
     biases, weights, start = [], [], 0
     for rows, columns in pairwise(sizes):
         middle, stop = start + columns, start + (rows + 1) * columns
-        biases.append(parameters[:, start:middle].astype(np.float32))
-        weight = parameters[:, middle:stop].reshape(_NUM_AGENTS, rows, columns)
+        biases.append(parameters[..., start:middle].astype(np.float32))
+        weight = parameters[..., middle:stop].reshape(-1, _NUM_AGENTS, rows, columns)
         weights.append(weight.astype(np.float32))
         start = stop
     return biases, weights
@@ -184,15 +197,15 @@ def _layers(
 def _table(
     biases: list[NDArray[np.float32]], weights: list[NDArray[np.float32]]
 ) -> NDArray[np.float32]:
-    """Layers one below another, shape (2, N, W); 0 beyond a layer's outputs."""
-    rows = sum(1 + weight.shape[1] for weight in weights)
-    width = max(bias.shape[1] for bias in biases)
-    table = _aligned((_NUM_AGENTS, rows, width))
+    """Layers one below another, shape (M, 2, N, W); 0 beyond a layer's outputs."""
+    rows = sum(1 + weight.shape[2] for weight in weights)
+    width = max(bias.shape[2] for bias in biases)
+    table = _aligned((len(biases[0]), _NUM_AGENTS, rows, width))
     row = 0
     for bias, weight in zip(biases, weights, strict=True):
-        inputs, outputs = weight.shape[1:]
-        table[:, row, :outputs] = bias
-        table[:, row + 1 : row + 1 + inputs, :outputs] = weight
+        inputs, outputs = weight.shape[2:]
+        table[:, :, row, :outputs] = bias
+        table[:, :, row + 1 : row + 1 + inputs, :outputs] = weight
         row += 1 + inputs
     return table
 
@@ -216,7 +229,7 @@ def weigh_shared(me: Any, constants: Any, state: Any, slot: Any, env: int) -> No
         users = me.features[me.first_user[agent] : me.first_user[agent + 1]]
         _mean_user(users, me.mean[agent])
     for agent in range(_NUM_AGENTS):
-        _weigh_slice(me, agent, state.weight[env])
+        _weigh_slice(me, env // me.envs_per_policy, agent, state.weight[env])
 
 
 @WEIGH.kernel(FlatWords)
@@ -224,15 +237,16 @@ def weigh_flat(me: Any, constants: Any, state: Any, slot: Any, env: int) -> None
     """Weigh the users of each slice by its network, which sees all users."""
     observe_world(constants, state, env, me.observe_robots, me.observe_demand, me.features)
     num_users, num_features = me.features.shape
+    policy = env // me.envs_per_policy
     first, last = me.hidden[0, : me.sizes[0]], me.hidden[-1, : me.sizes[-1]]
     for agent in range(_NUM_AGENTS):
-        table = me.table[agent]
+        table = me.table[policy, agent]
         copy(table[0], first)
         for user in range(num_users):
             _add_product(me.features[user], table, 1 + user * num_features, first)
-        _further_layers(me, agent, 1 + num_users * num_features)
-        copy(me.output_bias[agent], me.outputs)
-        _add_product(last, me.output_weight[agent], 0, me.outputs)
+        _further_layers(me, table, 1 + num_users * num_features)
+        copy(me.output_bias[policy, agent], me.outputs)
+        _add_product(last, me.output_weight[policy, agent], 0, me.outputs)
         begin = me.first_user[agent]
         for user in range(begin, me.first_user[agent + 1]):
             state.weight[env, user] = _weight(me.outputs[user - begin], me.weight_exponent)
@@ -246,12 +260,13 @@ def weigh_linear(me: Any, constants: Any, state: Any, slot: Any, env: int) -> No
     training forms the same bits.
     """
     observe_world(constants, state, env, me.observe_robots, me.observe_demand, me.features)
+    policy = env // me.envs_per_policy
     for agent in range(_NUM_AGENTS):
         for user in range(me.first_user[agent], me.first_user[agent + 1]):
-            total = np.float64(me.bias[agent])
+            total = np.float64(me.bias[policy, agent])
             for feature in range(me.features.shape[1]):
                 value = np.float64(me.features[user, feature])
-                total = fma(value, np.float64(me.weight[agent, feature]), total)
+                total = fma(value, np.float64(me.weight[policy, agent, feature]), total)
             state.weight[env, user] = _weight(F32(total), me.weight_exponent)
 
 
@@ -267,10 +282,10 @@ def _mean_user(features: Any, mean: Any) -> None:
 
 
 @inner_kernel()
-def _weigh_slice(me: Any, agent: int, weight: Any) -> None:
+def _weigh_slice(me: Any, policy: int, agent: int, weight: Any) -> None:
     """Fill the weights of a slice's users. First layer: bias, own mean, other mean, user."""
     num_features = me.features.shape[1]
-    table, common = me.table[agent], me.common
+    table, common = me.table[policy, agent], me.common
     first, last = me.hidden[0, : me.sizes[0]], me.hidden[-1, : me.sizes[-1]]
     copy(table[0], common)
     _add_product(me.mean[agent], table, 1 + num_features, common)
@@ -278,18 +293,17 @@ def _weigh_slice(me: Any, agent: int, weight: Any) -> None:
     for user in range(me.first_user[agent], me.first_user[agent + 1]):
         copy(common, first)
         _add_product(me.features[user], table, 1, first)
-        _further_layers(me, agent, 1 + 3 * num_features)
-        output = _dot(last, me.output_weight[agent]) + me.output_bias[agent, 0]
+        _further_layers(me, table, 1 + 3 * num_features)
+        output = _dot(last, me.output_weight[policy, agent]) + me.output_bias[policy, agent, 0]
         weight[user] = _weight(output, me.weight_exponent)
 
 
 @inner_kernel()
-def _further_layers(me: Any, agent: int, row: int) -> None:
+def _further_layers(me: Any, table: Any, row: int) -> None:
     """Evaluate the hidden layers of one input from the first one's affine part on.
 
     `row` is where the second layer begins in the table.
     """
-    table = me.table[agent]
     seen = me.hidden[0, : me.sizes[0]]
     _relu(seen)
     for layer in range(1, me.sizes.shape[0]):

@@ -19,9 +19,7 @@ from hiersched.core.sealed import SealError, seal_json, unseal_json
 from hiersched.models.model import Setup
 from hiersched.policies.features import FEATURE_VERSION, FEATURES, num_features
 from hiersched.policies.learned import (
-    FlatWords,
-    LinearWords,
-    SharedWords,
+    NetworkWords,
     layer_sizes,
     network_words,
     num_parameters,
@@ -77,7 +75,7 @@ class TrainedPolicy(Weigher):
     seed: int
     scenario_sha256: str
 
-    def words(self, setup: Setup) -> SharedWords | FlatWords | LinearWords:
+    def words(self, setup: Setup) -> NetworkWords:
         """As in `Weigher`; ValueError if the policy is for other numbers of users."""
         users = setup.scenario.users
         mine, theirs = (len(self.multipliers), self.num_embb), (users.num_urllc, users.num_embb)
