@@ -165,6 +165,12 @@ def has_pareto(scenario: Scenario) -> bool:
     return any(cell.pareto for cell in scenario.task_study.cells.values())
 
 
+def has_task_learners(scenario: Scenario) -> bool:
+    """Whether trained policies run in these cells."""
+    study = scenario.task_study
+    return bool(study.cells) and any(policy in scenario.learned for policy in study.policies)
+
+
 def has_learners(scenario: Scenario) -> bool:
     """Whether a scenario trains policies."""
     return bool(trained_learners(scenario))

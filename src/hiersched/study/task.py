@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -55,6 +56,19 @@ def best_family(study: Study, cell: str, kinds: Iterable[Kind]) -> str | None:
 def best_blind(study: Study, cell: str) -> str | None:
     """Return the best family that knows nothing of the task."""
     return best_family(study, cell, ("classical", "control-blind"))
+
+
+def task_learners_of(scenario: Scenario) -> list[str]:
+    """Return the learners that run in the cells."""
+    return [policy for policy in scenario.task_study.policies if policy in scenario.learned]
+
+
+def twin_of(scenario: Scenario, learner: str) -> str | None:
+    """Return the learner that runs too and differs in whether it sees the task, in nothing else."""
+    own = scenario.learned[learner]
+    twin = replace(own, observe_demand=not own.observe_demand)
+    same = (name for name in task_learners_of(scenario) if scenario.learned[name] == twin)
+    return next(same, None)
 
 
 def first_aware(scenario: Scenario, cell: str) -> str | None:

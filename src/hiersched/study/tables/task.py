@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from hiersched.experiments.points import REFERENCE, TASK, TUNED, experiments
-from hiersched.study.registry import has_pareto, has_task_study, table
+from hiersched.study.registry import has_pareto, has_task_learners, has_task_study, table
 from hiersched.study.samples import paired, sample_of
 from hiersched.study.statistics import (
     Interval,
@@ -33,6 +33,8 @@ from hiersched.study.task import (
     mean_of,
     network_share,
     runs_of,
+    task_learners_of,
+    twin_of,
 )
 
 RATIOS = {"rms": RMS, "p99": P99}
@@ -192,6 +194,58 @@ def task_pareto(study: Study) -> pd.DataFrame:
                         P99: mean_of(runs, P99),
                     }
                 )
+    return pd.DataFrame(rows)
+
+
+@table(
+    "task_learners",
+    title="What learning adds to a rule that knows the task",
+    note=f"Held-out worlds, every trained policy in each. {KNOBS_NOTE} `aware` and `blind` are the "
+    "best families that know the task and that do not, chosen in the design worlds too. `twin`: "
+    "the learner that differs in `observe_demand` alone, seed by seed. A learner runs as it was "
+    "trained, at the load `trained_load`, in every cell; it has no knob, so that its eMBB share "
+    f"stands beside that of `aware`. {RATIO_NOTE} `rms_seeds_std`: standard deviation of the "
+    "training seeds' mean errors.",
+    reads=("task", "tunings"),
+    when=has_task_learners,
+    columns=(
+        *("cell", "policy", "sees_task", "trained_load", "training_seeds", "tracking_rms_cm"),
+        *("rms_seeds_std_cm", "tracking_p99_cm", "aware", "rms_over_aware", "rms_over_aware_lo"),
+        *("rms_over_aware_hi", "p99_over_aware", "p99_over_aware_lo", "p99_over_aware_hi", "twin"),
+        *("rms_over_twin", "rms_over_twin_lo", "rms_over_twin_hi", "blind", "rms_over_blind"),
+        *("rms_over_blind_lo", "rms_over_blind_hi", "embb_share", "embb_share_aware"),
+        *("embb_late_share", "urllc_late_share"),
+    ),
+)
+def task_learners(study: Study) -> pd.DataFrame:
+    """Return one row a cell and learner: errors against rules and against its twin."""
+    rows = []
+    for cell in study.scenario.task_study.cells:
+        rivals = {
+            "aware": best_family(study, cell, ("control-aware",)),
+            "blind": best_blind(study, cell),
+        }
+        for policy in task_learners_of(study.scenario):
+            runs, learning = runs_of(study, cell, policy), study.scenario.learned[policy]
+            by_seed = sample_of(runs, RMS)
+            aware, twin = rivals["aware"], twin_of(study.scenario, policy)
+            row: dict[str, Any] = {
+                "cell": cell,
+                "policy": policy,
+                "sees_task": learning.observe_demand,
+                "trained_load": study.scenario.traffic.load,
+                "training_seeds": len(learning.seeds),
+                "rms_seeds_std_cm": np.nan,
+                **{name: mean_of(runs, name) for name in RATIOS.values()},
+                **embb_share(study, cell, policy).columns("embb_share"),
+                "embb_share_aware": embb_share(study, cell, aware).mean if aware else np.nan,
+                **{name: mean_of(runs, name) for name in ("embb_late_share", "urllc_late_share")},
+            }
+            if by_seed.ndim == 2 and len(by_seed) > 1:
+                row["rms_seeds_std_cm"] = float(by_seed.mean(1).std(ddof=1))
+            for name, rival in {**rivals, "twin": twin}.items():
+                row |= ratio_columns(study, cell, policy, rival, name)
+            rows.append(row)
     return pd.DataFrame(rows)
 
 
