@@ -2,6 +2,7 @@
 #
 #   make paper              every figure and table of the paper
 #   make teleop             the study of what knowing the task is worth
+#   make teleop-learning    that of what learning adds
 #   make test               the tests
 #   make VENV=/tmp/v test   the same in another virtual environment
 #   make PYTHON=python3.12  another interpreter
@@ -22,10 +23,10 @@ RUN := env PATH="$(BIN):$$PATH" OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: oldest help install paper smoke readme docs gains test nightly mutants lint format bench bench-short clean distclean teleop
+.PHONY: oldest help install paper smoke readme docs gains test nightly mutants lint format bench bench-short clean distclean teleop teleop-learning
 
 help:  ## list the targets
-	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-11s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-15s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 install: $(STAMP)  ## create the virtual environment (the other targets do it when needed)
 
@@ -46,6 +47,9 @@ smoke: $(STAMP)  ## the same pipeline, small enough for a few minutes (results/s
 
 teleop: $(STAMP)  ## what knowing the robots' tasks is worth, half an hour (results/teleop_fading)
 	$(RUN) snakemake --cores $(CORES) --config scenarios='[teleop_fading]'
+
+teleop-learning: $(STAMP)  ## what learning adds to that, three quarters of an hour (results/teleop_learning, teleop_learning_105)
+	$(RUN) snakemake --cores $(CORES) --config scenarios='[teleop_learning, teleop_learning_105]'
 
 readme: $(STAMP)  ## write the verdicts of results/paper into the README
 	$(RUN) python src/hiersched/workflow/scripts/readme.py --results results/paper

@@ -26,6 +26,7 @@ from hiersched.scenario import Scenario
 from hiersched.scenario.schema import checkpoint_rounds
 from hiersched.simulator import Simulator
 from hiersched.simulator.loop_gains import Gains
+from hiersched.study import measure
 from hiersched.study.metrics import measured_row, metrics_row, run_metrics
 
 Run = Callable[..., None]
@@ -105,6 +106,30 @@ def test_a_frozen_learner_stays_as_it_starts(tiny: Scenario, results: Path) -> N
         policy = TrainedPolicy.load(results / "train/frozen/policy_seed1.json")
         loop.reset(world_keys("checkpoint", 0, 1))
         np.testing.assert_array_equal(loop.run(policy).weight, 1.0)
+
+
+def test_a_training_without_logs_learns_the_same_and_shows_its_rounds(
+    tiny: Scenario, trained: Path, results: Path
+) -> None:
+    """Means of rounds from the progress file against those of the logged episodes."""
+    bare = replace(tiny, log=replace(tiny.log, train_profile="none"))
+    train_and_log(bare, "ddpg", results, "code", show=False)
+    found = sorted(path.name for path in (results / "train/ddpg").glob("*.mcap"))
+    assert found == ["checkpoints_seed1.mcap", "checkpoints_seed2.mcap"]
+    for name in files.policy_files(tiny, "ddpg"):
+        a, b = TrainedPolicy.load(results / name), TrainedPolicy.load(trained / name)
+        assert np.array_equal(a.parameters, b.parameters)
+    with LogReader(results / files.checkpoint_log("ddpg", 1)) as log:
+        assert log.profile == "decisions"
+    rounds = measure._training_episodes(results, bare, "ddpg")
+    logged = measure._training_episodes(trained, tiny, "ddpg")
+    assert list(rounds) == list(logged)
+    number = (logged["episode"] + 1) // tiny.learning.num_envs
+    means = logged.groupby(["seed", number]).mean(numeric_only=True)
+    for column in ("urllc_reward", "embb_reward", "urllc_backlog_packets", "embb_backlog_packets"):
+        np.testing.assert_allclose(rounds[column], means[column], rtol=1e-6)
+    assert rounds["seed"].tolist() == [1, 1, 1, 2, 2, 2]
+    assert rounds["episode"].tolist() == [2, 4, 6] * 2
 
 
 class InterruptedRunError(Exception):

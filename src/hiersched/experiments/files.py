@@ -46,8 +46,13 @@ def checkpoint_log(learner: str, seed: int) -> str:
 
 def learner_logs(scenario: Scenario, learner: str) -> list[str]:
     """List the logs of the training of all seeds of a learner, those without noise among them."""
-    seeds = scenario.learned[learner].seeds
-    return [log(learner, seed) for log in (training_log, checkpoint_log) for seed in seeds]
+    kinds = (training_log, checkpoint_log) if logs_training(scenario) else (checkpoint_log,)
+    return [log(learner, seed) for log in kinds for seed in scenario.learned[learner].seeds]
+
+
+def logs_training(scenario: Scenario) -> bool:
+    """Whether there are logs of the training itself, besides those without noise."""
+    return scenario.log.train_profile != "none"
 
 
 def runs_folder(experiment: Experiment, point: Point, policy: str) -> str:

@@ -37,6 +37,7 @@ class RoundLogs:
     learner: str
     folder: Path
     stage: str  # train or checkpoint
+    profile: str
     num_envs: int  # episodes of a round
     num_rounds: int  # rounds in all
     first_round: int  # rounds that were complete before
@@ -93,7 +94,7 @@ class RoundLogs:
             self.scenario,
             self.schedule,
             RunLabel(stage=self.stage, policy=self.learner, seed=learning.seeds[seed_index]),
-            profile=self.scenario.log.train_profile,
+            profile=self.profile,
             metadata={
                 "slots_per_episode": str(learning.slots_per_episode),
                 "episodes": str(self.num_envs * self.num_rounds),
@@ -109,7 +110,7 @@ class RoundLogs:
 def train_and_log(
     study: Scenario, learner: str, results: Path, code: str, *, show: bool = True
 ) -> None:
-    """Train all seeds of one of `study.learned`; write policies, progress and a log of every slot.
+    """Train all seeds of one of `study.learned`; write policies, progress and logs.
 
     The scenario's gain schedule lies in `results`, the folder of the study. `code` names the code:
     a checkpoint of the same code and scenario is where training goes on, to the same bits; any
@@ -125,14 +126,17 @@ def train_and_log(
     learning = scenario.learning
     rounds = checkpoint_rounds(learning)
     make_logs = partial(RoundLogs, scenario, schedule, learner, checkpoint.parent)
+    is_logged, profile = files.logs_training(study), scenario.log.train_profile
     logs = make_logs(
         stage="train",
+        profile=profile,
         num_envs=learning.num_envs,
         num_rounds=learning.episodes // learning.num_envs,
         first_round=done,
     )
     fixed = make_logs(
         stage="checkpoint",
+        profile=profile if is_logged else "decisions",
         num_envs=learning.checkpoint_worlds,
         num_rounds=len(rounds),
         first_round=sum(r <= done for r in rounds) if done else 0,
@@ -142,7 +146,7 @@ def train_and_log(
     policies = train(
         scenario,
         gains,
-        on_slots=logs.add,
+        on_slots=logs.add if is_logged else None,
         on_checkpoint=fixed.add,
         progress=progress,
         checkpoint=checkpoint,
@@ -156,8 +160,9 @@ def train_and_log(
     for index, policy in enumerate(policies):
         weights = results / weight_files[index]
         policy.save(weights)
-        attachments = {weights.name: weights.read_bytes()}
-        logs.join(index, results / files.training_log(learner, policy.seed), attachments)
+        if is_logged:
+            attachments = {weights.name: weights.read_bytes()}
+            logs.join(index, results / files.training_log(learner, policy.seed), attachments)
         fixed.join(index, results / files.checkpoint_log(learner, policy.seed), {})
     shutil.rmtree(checkpoint.parents[1])
 

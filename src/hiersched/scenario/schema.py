@@ -35,6 +35,7 @@ CellName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=60)]
 PolicyName = LearnerName
 """A scheduler, a learner or one of `policies`; `consistency` knows which there are."""
 LogProfile = Literal["full", "compact", "decisions"]
+TrainProfile = Literal["full", "compact", "decisions", "none"]
 
 
 class _Strict:
@@ -327,7 +328,7 @@ class Log(_Strict):
 
     compression: Literal["zstd", "none"]
     chunk_bytes: Annotated[int, Field(ge=4096, le=2**28)]
-    train_profile: LogProfile
+    train_profile: TrainProfile
     evaluate_profile: LogProfile
     sweep_profile: LogProfile
     gain_study_profile: Literal["full", "robots"]

@@ -74,6 +74,14 @@ TASK_TABLES = ("task", "traces")
 """Of a group of policies that runs in the study of the task."""
 GAIN_TABLES = ("windows", "slots")
 """Of the gain study."""
+PROGRESS = {
+    "reward_urllc": "urllc_reward",
+    "reward_embb": "embb_reward",
+    "backlog_urllc_packets": "urllc_backlog_packets",
+    "backlog_embb_packets": "embb_backlog_packets",
+    "late_share": "urllc_late_share",
+}
+"""Column of the progress file of a training -> that of the table ``episodes``."""
 
 FIRST_SLOTS = 20
 """Slots at the start of an evaluation of which the table ``slots`` holds each."""
@@ -122,6 +130,7 @@ def measured_files(scenario: Scenario, group: str) -> list[str]:
         ]
     if group in trained_learners(scenario):
         names += files.learner_logs(scenario, group)
+        names += [] if files.logs_training(scenario) else [files.progress_file(group)]
     return names
 
 
@@ -333,7 +342,14 @@ def _measure_gains(
 
 
 def _training_episodes(results: Path, scenario: Scenario, learner: str) -> pd.DataFrame:
-    """Read every training episode of a learner, number 1 the first, by training seed."""
+    """Read every training episode of a learner, number 1 the first, by training seed.
+
+    Where training is not logged every round is, the last episode standing for it.
+    """
+    if not files.logs_training(scenario):
+        progress = pd.read_csv(results / files.progress_file(learner))
+        wanted = progress[["seed", "episode", *PROGRESS]].rename(columns=PROGRESS)
+        return wanted.sort_values(["seed", "episode"], ignore_index=True)
     frames = []
     for seed in scenario.learned[learner].seeds:
         path = results / files.training_log(learner, seed)
