@@ -36,6 +36,17 @@ VARIANTS = {
     "a2c, shared 32-32": ({"algorithm": "a2c", "hidden": (32, 32)}, 0.1),
     "a2c, mlp 64-64": ({"algorithm": "a2c", "network": "mlp"}, 0.15),
     "a2c, mlp, 38 worlds": ({"algorithm": "a2c", "network": "mlp", "num_envs": 38}, 0.15),
+    "es, linear, 3 worlds": (
+        {
+            "algorithm": "es",
+            "network": "linear",
+            "start": "drift_plus_penalty",
+            "weighs": "drift",
+            "num_envs": 39,
+            "episodes": 390,
+        },
+        0.5,
+    ),
 }
 """Name -> keys of `learning` that differ from the scenario's, and the least speed as a multiple of
 the speed of the same worlds under proportional fair, with nobody who learns."""
