@@ -53,3 +53,11 @@ def read_strictly(kind: type[T], values: Mapping[str, Any]) -> T:
     hashable: Any = kind
     result: T = _adapter(hashable).validate_json(json.dumps(values), strict=True)
     return result
+
+
+def no_multiple(key: str, value: float, unit_key: str, unit: float) -> list[str]:
+    """Say that the value of a key is no whole number of another's, one or more; else nothing."""
+    count = value / unit
+    if round(count) >= 1 and abs(count - round(count)) < 1e-9 * count:
+        return []
+    return [f"{key} = {value}: must be a multiple of {unit_key} = {unit}"]

@@ -12,7 +12,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from hiersched.core.parameters import read_strictly
+from hiersched.core.parameters import no_multiple, read_strictly
 from hiersched.core.registry import ALGORITHMS, BUILT_IN_ALGORITHMS
 from hiersched.models.model import SECTIONS
 from hiersched.models.plant.reference import period_s, tasks_of
@@ -134,9 +134,7 @@ def _multiples(scenario: Scenario, unit_key: str, *keys: str) -> list[str]:
     faults = []
     for key in keys:
         value = attrgetter(key)(scenario)
-        whole = round(value / unit)
-        if value != 0.0 and (whole < 1 or abs(value / unit - whole) >= 1e-9):
-            faults.append(f"{key} = {value}: must be a multiple of {unit_key} = {unit}")
+        faults += no_multiple(key, value, unit_key, unit) if value != 0.0 else []
     return faults
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from hiersched.models.model import Belief, Setup, num_model_values
 from hiersched.models.plant.feedback import LoopConstants
+from hiersched.models.queue.fifo import SUPERSEDING
 from hiersched.scenario.schema import Scenario
 from hiersched.simulator.loop_gains import Gains
 
@@ -37,7 +38,7 @@ class SlotConstants(NamedTuple):
     average_forgetting: float  # 1 / window of the moving average rate
     reward_scale: float  # rewards are divided by it
     tracks_age: bool  # whether the queue follows the age of set-points, `SlotState.held_step`
-    superseding: int  # 0: of no packets, 1: of packets, 2: of batches
+    superseding: int  # code of `models.queue.fifo.SUPERSEDING`
     loop: LoopConstants  # gains, delays and latency of the robots' loops
 
 
@@ -75,7 +76,6 @@ class SlotState(NamedTuple):
     model_values: NDArray[np.float64]  # (E, X) for the record (`Model.log_fields`); 0 until written
 
 
-SUPERSEDING = ("none", "packet", "batch")
 TASK_STATE = (
     "set_point_age_s",
     "set_point_speed_mps",

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 import numpy as np
 
 from hiersched.core.numerics import ln_f32
-from hiersched.core.parameters import Note, Positive
+from hiersched.core.parameters import Note, Positive, no_multiple
 from hiersched.core.randomness import STREAM_FADING, philox4x32, unit_f32
 from hiersched.models.model import FADING, Model, Setup
 from hiersched.models.seams import DRAW_FADING
@@ -52,13 +52,8 @@ class BlockRayleigh(Model):
 
     def faults(self, scenario: Scenario) -> list[str]:
         """As in `Model`: a block is a whole number of slots."""
-        slots = self.coherence_s / scenario.radio.slot_s
-        if round(slots) >= 1 and abs(slots - round(slots)) < 1e-9 * slots:
-            return []
-        return [
-            f"radio.fading.coherence_s = {self.coherence_s}: must be a multiple of radio.slot_s = "
-            f"{scenario.radio.slot_s}"
-        ]
+        unit = "radio.slot_s", scenario.radio.slot_s
+        return no_multiple("radio.fading.coherence_s", self.coherence_s, *unit)
 
     def words(self, setup: Setup) -> BlockWords:
         """As in `Model`."""

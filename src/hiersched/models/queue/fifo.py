@@ -19,8 +19,9 @@ from hiersched.core.parameters import Note
 from hiersched.models.model import QUEUE, Model, Setup
 from hiersched.models.seams import SERVE
 
-BY_BATCH = 2
-"""Code of a superseding of batches in `SlotConstants.superseding`."""
+SUPERSEDING = ("none", "packet", "batch")
+"""What newer set-points replace; the place of a name is its code in `SlotConstants`."""
+BY_BATCH = SUPERSEDING.index("batch")
 
 
 class FifoWords(NamedTuple):
