@@ -188,6 +188,19 @@ def test_a_world_draws_its_operators_whatever_else_runs(make_simulator):
     np.testing.assert_array_equal(one.run("pf").reference[::-1], record.reference)
 
 
+@pytest.mark.parametrize("shuffle", [False, True])
+def test_worlds_that_are_equal_or_stay_have_the_operators_of_each_alone(make_simulator, shuffle):
+    robot = {"reference": "reach", "reference_shuffle": shuffle}
+    keys = world_keys("test", 5, 3)
+    alone = [make_simulator(1, 40, keys=keys[k : k + 1], robot=robot).run("pf") for k in range(3)]
+    simulator = make_simulator(3, 40, keys=keys[[0, 1, 0]], robot=robot)
+    for worlds in ((0, 1, 0), (0, 1, 0), (1, 0, 0), (2, 2, 2), (0, 2, 1), (1, 1, 0)):
+        simulator.reset(keys[list(worlds)])
+        record = simulator.run("pf")
+        for env, world in enumerate(worlds):
+            np.testing.assert_array_equal(record.rows[env], alone[world].rows[0])
+
+
 def test_worlds_deal_the_references_to_their_robots(make_simulator):
     robot = {
         "reference": ("straight", "arc", "figure_eight", "zigzag"),
