@@ -7,13 +7,14 @@ them meet the same fading and arrivals: common random numbers.
 
 The fitness of a member with `learning.fitness` = ``tracking`` is
 
-    -ln(E / 1 cm) - p max(0, 0.995 - S / S0),
+    -ln(E / 1 cm) - p max(0, 0.99 - S / S0),
 
 E the root mean square of the robots' tracking errors over an episode, as a geometric mean over
-worlds, S the packets of eMBB users that were served in all worlds, S0 those under the start, p
-`learning.shortfall_price`. With ``reward`` it is the mean of the rewards as they are logged, over
-slots and worlds: the agent's own, or the mean of both where `learning.reward` is cooperative. Ranks
-take the place of fitnesses.
+worlds, S the packets of eMBB users that met their deadlines in all worlds, S0 those under the
+start, p `learning.shortfall_price`. Packets that are served late do not count: a fitness of the
+throughput alone makes all video late, up to where none is lost. With ``reward`` it is the mean of
+the rewards as they are logged, over slots and worlds: the agent's own, or the mean of both where
+`learning.reward` is cooperative. Ranks take the place of fitnesses.
 The step is momentum over the running root mean square of all of an actor's gradient, times
 `learning.actor_lr`, which falls to 0 over the training: a step by parameter, such as Adam's, goes
 as far where there is nothing but noise as where there is a slope, and a constant one never settles.
@@ -36,8 +37,8 @@ from hiersched.policies.policy import Weigher
 from hiersched.scenario.schema import Learning, Scenario, Users, worlds_per_round
 from hiersched.simulator import SlotRecord
 
-_SERVED_SHARE = 0.995
-"""Of what the start serves of eMBB: what a policy may fall to without a price."""
+_TIMELY_SHARE = 0.99
+"""Of what the start serves of eMBB in time: what a policy may fall to without a price."""
 _MOMENTUM, _SQUARE_DECAY = 0.8, 0.9
 _LEAST_SCALE = 1e-12
 _LEAST_ERROR_CM = 1e-6
@@ -132,7 +133,7 @@ class EvolutionStrategy(Algorithm):
         self._explorers.become(everyone.reshape(-1, *everyone.shape[2:]))
         self._slots = 0
         self._square_error = np.zeros((num_seeds, self._members, self._worlds))
-        self._served = np.zeros((num_seeds, self._members))
+        self._timely = np.zeros((num_seeds, self._members))
         self._reward = np.zeros((num_seeds, self._members, NUM_AGENTS))
         return self._explorers
 
@@ -143,11 +144,10 @@ class EvolutionStrategy(Algorithm):
         error_cm = 100.0 * record.tracking_error_m
         square = (error_cm**2).mean(2).sum(1)  # of a slot: over robots
         self._square_error += square.reshape(self._square_error.shape)
-        there = record.backlog_packets[embb] + record.arrivals_packets[embb]
-        served = np.minimum(record.service_packets[embb], there)
-        self._served += served.reshape(*self._served.shape, -1).sum(2)
+        timely = record.due_packets[embb] - record.late_packets[embb]
+        self._timely += timely.reshape(*self._timely.shape, -1).sum(2)
         rewards = np.stack((record.reward_urllc, record.reward_embb), axis=-1)
-        self._reward += rewards.sum(1).reshape(*self._served.shape, -1, NUM_AGENTS).mean(2)
+        self._reward += rewards.sum(1).reshape(*self._timely.shape, -1, NUM_AGENTS).mean(2)
 
     def _fitness(self) -> NDArray[np.float64]:
         """Fitness of every member for both agents, shape (seeds, M, 2), the start the first."""
@@ -157,8 +157,8 @@ class EvolutionStrategy(Algorithm):
                 reward[:] = reward.mean(-1, keepdims=True)
             return reward
         error_cm = np.maximum(np.sqrt(self._square_error / self._slots), _LEAST_ERROR_CM)
-        share = self._served / np.maximum(self._served[:, :1], 1.0)
-        shortfall = np.maximum(0.0, _SERVED_SHARE - share)
+        share = self._timely / np.maximum(self._timely[:, :1], 1.0)
+        shortfall = np.maximum(0.0, _TIMELY_SHARE - share)
         fitness = -np.log(error_cm).mean(2) - self._learning.shortfall_price * shortfall
         return np.repeat(fitness[..., None], NUM_AGENTS, axis=2)
 
