@@ -14,10 +14,10 @@ from hiersched.experiments.points import REFERENCE, TASK, experiments
 from hiersched.policies.registry import RULES, Look
 from hiersched.scenario import Scenario
 from hiersched.study.figures import style
-from hiersched.study.registry import figure, has_pareto, has_task_study
+from hiersched.study.registry import figure, has_pareto, has_task_learners, has_task_study
 from hiersched.study.statistics import Interval
 from hiersched.study.study import Study
-from hiersched.study.tables.task import RATIOS, ratio_columns, task_pareto
+from hiersched.study.tables.task import RATIOS, ratio_columns, task_learners, task_pareto
 from hiersched.study.task import (
     RMS,
     best_blind,
@@ -26,6 +26,9 @@ from hiersched.study.task import (
     line_of,
     lines,
     load_of,
+    mean_of,
+    runs_of,
+    task_learners_of,
 )
 
 MOVING_MPS = 0.05
@@ -208,6 +211,57 @@ def _draw_line(study: Study, panel: Axes, cells: list[str], short: str, look: Lo
     if rows:
         frame = pd.DataFrame(rows)
         style.draw_series(panel, frame["load"], frame, "change", look)
+
+
+@figure(
+    "figX_task_learners",
+    title="What learning adds to the best rule that knows the task; not in the paper.",
+    reads=("task", "tunings"),
+    when=has_task_learners,
+)
+def draw_learners(study: Study) -> Figure:
+    """Draw every learner against the best rule that knows the task, a row a cell.
+
+    Change of RMS and of 99 % error, and late video packets beside those of the rule.
+    """
+    table, scenario = task_learners(study), study.scenario
+    cells, learners = list(scenario.task_study.cells), task_learners_of(scenario)
+    figure, axes = style.new_figure(3, height_in=1.2 + 0.42 * len(cells), sharey=True)
+    for place, learner in enumerate(learners):
+        own = table[table["policy"] == learner].to_dict("records")
+        look = style.policy_look(learner, scenario)
+        for height, row in enumerate(own):
+            y = height + 0.22 * (place - 0.5 * (len(learners) - 1))
+            for panel, short in zip(axes, RATIOS, strict=False):
+                ends = {end: row[f"{short}_over_aware{end}"] for end in ("", "_lo", "_hi")}
+                change = {f"change{end}": 100.0 * (value - 1.0) for end, value in ends.items()}
+                label = look.label if height == 0 else None
+                style.draw_mark(panel, change, "change", y, look, markersize=4, label=label)
+            axes[2].plot(
+                100.0 * row["embb_late_share"], y, color=look.color, marker=look.marker, ms=4
+            )
+    for height, cell in enumerate(cells):
+        rule = best_family(study, cell, ("control-aware",))
+        if rule is not None:
+            late = 100.0 * mean_of(runs_of(study, cell, rule), "embb_late_share")
+            label = "best rule that knows the task" if height == 0 else None
+            axes[2].plot(late, height, color="black", marker="|", ms=9, ls="none", label=label)
+    for panel, text in zip(axes, ("RMS error", "99 % quantile of error"), strict=False):
+        panel.axvline(0.0, color="black", linewidth=0.9)
+        panel.set_xlabel(f"{text}, change [%]")
+    axes[2].set_xlabel("late eMBB packets [%]")
+    axes[0].set_yticks(range(len(cells)), [cell.replace("_", " ") for cell in cells])
+    axes[0].invert_yaxis()
+    style.shared_legend(figure, axes[0], axes[2])
+    counts = sorted({len(scenario.learned[name].seeds) for name in learners})
+    style.caption(
+        figure,
+        f"Against the best rule that knows the task in each cell, at its tuned knob: typical "
+        f"ratio, 95 % interval over {' or '.join(map(str, counts))} training seeds and "
+        f"{len(scenario.task_study.seeds)} held-out worlds. Trained at load "
+        f"{scenario.traffic.load:g}, run as they are everywhere.",
+    )
+    return figure
 
 
 @figure(
