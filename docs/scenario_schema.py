@@ -66,6 +66,11 @@ def scenario_schema() -> Json:
         "additionalProperties": {"anyOf": [sections["learning"], {"type": "null"}]},
     }
     definitions["Family"]["properties"]["policy"] = _policy()
+    for name in ("families", "cells"):
+        holder = definitions["TaskStudy"]["properties"][name]
+        kinds = holder["patternProperties"]
+        for pattern, kind in kinds.items():
+            kinds[pattern] = {"anyOf": [kind, {"type": "null"}]}
     definitions["Learning"]["properties"]["algorithm"]["examples"] = list(BUILT_IN_ALGORITHMS)
     definitions["Sweeps"]["properties"]["axes"] = _axes(schema)
     for note in parameter_notes():

@@ -28,6 +28,15 @@ def test_a_study_comes_back_from_what_is_written(load_text):
     assert (again, added) == (scenario, ())
 
 
+def test_a_null_cell_or_family_is_not_that_of_the_scenario_which_is_extended(tmp_path):
+    families = f"{FAMILY}, calm: {{policy: {{model: urgency, floor: 1.0}}, range: [0.5, 8.0]}}"
+    (tmp_path / "base.yaml").write_text(text_of(families, f"{CELL}, there: {{values: {{}}}}"))
+    own = "extends: base.yaml\ntask_study: {families: {calm: null}, cells: {here: null}}\n"
+    (tmp_path / "own.yaml").write_text(own)
+    study = load_scenario(tmp_path / "own.yaml").task_study
+    assert (list(study.families), list(study.cells)) == (["urgency"], ["there"])
+
+
 def test_a_learner_that_runs_in_the_cells_is_trained(load_text):
     assert "ddpg" in trained_learners(load_text(text_of(more=", policies: [ddpg]")))
 

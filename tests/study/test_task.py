@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,17 +16,24 @@ from hiersched.experiments.logged import RunSlots
 from hiersched.experiments.points import REFERENCE
 from hiersched.scenario import Scenario
 from hiersched.study.claims.task import task_improves
-from hiersched.study.figures.task import draw_gain, draw_pareto, draw_traces, family_look
+from hiersched.study.figures.task import (
+    draw_gain,
+    draw_learners,
+    draw_pareto,
+    draw_traces,
+    family_look,
+)
 from hiersched.study.statistics import Interval, holm, mean_interval, p_value
 from hiersched.study.study import Study
 from hiersched.study.tables.task import (
     in_range,
     task_gains,
     task_knobs,
+    task_learners,
     task_pareto,
     task_superseding,
 )
-from hiersched.study.task import best_blind, best_family, first_aware, kind_of, lines
+from hiersched.study.task import best_blind, best_family, first_aware, kind_of, lines, twin_of
 from hiersched.study.task_metrics import TASK_MEASURES, served_packets, task_row
 
 CELLS = """
@@ -284,3 +292,58 @@ def test_figures_show_every_policy(study: Study) -> None:
     assert {family_look(study.scenario, name).label for name in (*FAMILIES, "ddpg")} <= labels
     assert len(draw_gain(study).axes) == 2  # superseding alone sets a line apart
     assert len(draw_traces(study).axes) == 8
+
+
+def test_a_rule_that_breaks_the_limit_confirms_nothing(study: Study) -> None:
+    study.tunings["load_100"]["families"]["urgency"]["keeps_limit"] = False
+    assert task_improves(study).base.outcome == "open"
+    table = task_gains(study).set_index(["cell", "policy"])
+    assert table.loc["load_100", "urgency"]["rms_outcome"] == ""
+    study.tunings["load_100"]["families"]["urgency"]["keeps_limit"] = True
+
+
+def test_a_rule_that_makes_video_late_does_not_improve_where_that_is_bounded(study: Study) -> None:
+    is_aware = (study.task["policy"] == "urgency") & (study.task["cell"] == "timely_100")
+    study.task.loc[is_aware, "embb_late_share"] = 0.6
+    timely = next(c for c in task_improves(study).others if c.value == "timely_100")
+    assert timely.statements[-1].name.startswith("share of late eMBB packets")
+    assert timely.outcome == "contradicted"
+
+
+def test_learners_by_hand(study: Study) -> None:
+    """Of two training seeds; in the second world errors of `urgency` are 1.1 times as large."""
+    table = task_learners(study).set_index("cell")
+    row = table.loc["load_100"]
+    assert (row["policy"], row["aware"], row["blind"], row["twin"]) == (
+        "ddpg",
+        "urgency",
+        *("drift_k", ""),
+    )
+    errors = ERROR_CM["urgency"] * np.array([1.0, 1.1, 1.2])
+    assert row["rms_over_aware"] == pytest.approx(math.exp(np.log(1.2 / errors).mean()))
+    assert row["rms_seeds_std_cm"] == pytest.approx(0.0)
+    assert row["embb_late_share_aware"] == 0.5
+    assert row["keeps_limits"]
+    study.task.loc[study.task["policy"] == "ddpg", "embb_mbps"] *= 0.99
+    assert not task_learners(study).set_index("cell").loc["load_100"]["keeps_limits"]
+    left, middle, right = draw_learners(study).axes
+    assert left.get_xlabel() == "RMS error, change [%]"
+    assert [len(panel.get_lines()) > 3 for panel in (left, middle, right)] == [True] * 3
+
+
+def test_twins_differ_in_what_they_see_alone(scenario: Scenario) -> None:
+    own = scenario.learning
+    twins = {"sees": replace(own, observe_demand=True), "blind": own, "slow": own}
+    twins["slow"] = replace(own, actor_lr=1e-5)
+    study = replace(scenario.task_study, policies=("sees", "blind", "slow"))
+    variant = replace(scenario, learners=twins, task_study=study)
+    assert [twin_of(variant, name) for name in twins] == ["blind", "sees", None]
+
+
+def test_lines_that_would_share_a_name_have_their_own(scenario: Scenario) -> None:
+    cells = scenario.task_study.cells
+    one = replace(cells["load_100"], values={"robot.reach_turn_rad": 1.0})
+    two = replace(cells["load_100"], values={"robot.reach_turn_rad": 2.0})
+    study = replace(scenario.task_study, cells={"turn_1": one, "turn_2": two})
+    found = lines(replace(scenario, task_study=study))
+    assert found == {"turn": ["turn_1"], "turn_2": ["turn_2"]}

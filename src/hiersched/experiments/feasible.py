@@ -121,9 +121,12 @@ def _needed(scenario: Scenario) -> Iterator[tuple[str, float]]:
         for point in experiment.points:
             num_slots, _ = experiment.num_slots(point.scenario)
             where = f"{experiment.name} {point.value}".rstrip()
+            worlds = len(experiment.seeds)
+            if point.tuned:
+                worlds = max(worlds, len(scenario.task_study.design_seeds))
             yield (
-                f"{where}: {len(experiment.seeds)} worlds of {num_slots} slots",
-                COPIES * len(experiment.seeds) * num_slots * slot_bytes(point.scenario),
+                f"{where}: {worlds} worlds of {num_slots} slots",
+                COPIES * worlds * num_slots * slot_bytes(point.scenario),
             )
     for name, learning in scenario.learned.items():
         yield f"learner {name}: {len(learning.seeds)} seeds", _training_bytes(scenario, learning)

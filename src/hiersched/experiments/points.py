@@ -119,7 +119,7 @@ class Point:
     values: Mapping[str, Any] = field(default_factory=dict)  # dotted key -> value, of a sweep
     policies: tuple[str, ...] | None = None  # all of the experiment's unless given
     delays: ForcedDelays | None = None  # of the gain study
-    tuned: bool = False  # whether the knobs of its families come from `tune`
+    tuned: tuple[str, ...] = ()  # families whose knobs come from `tune`
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -339,16 +339,19 @@ def _task_cell(scenario: Scenario, name: str) -> Experiment:
     # What the study consists of is nothing to a run: its logs hold the cell alone.
     own = replace(scenario, task_study=replace(study, families={}, cells={}, policies=()))
     base = with_values(own, cell.values, where)
+    policies = tuple(dict.fromkeys((REFERENCE, *families, *study.policies)))
     points = [
         Point(
             value=TUNED,
             scenario=with_rules(base, {f: family.policy for f, family in families.items()}),
-            policies=(REFERENCE, *families, *study.policies),
-            tuned=True,
+            policies=policies,
+            tuned=tuple(families),
         )
     ]
     if base.robot.set_point != "present":
-        present = with_values(base, {"robot.set_point": "present"}, where)
+        # Only the reference runs there: the scenario's own policies may need late set-points.
+        alone = _listing(replace(base, policies={}), lambda _: (REFERENCE,))
+        present = with_values(alone, {"robot.set_point": "present"}, where)
         points.append(Point(value=FLOOR, scenario=present, policies=(REFERENCE,)))
     tunable = [f for f, family in families.items() if family.range is not None]
     for number in range(study.pareto_knobs if cell.pareto and tunable else 0):
@@ -363,7 +366,7 @@ def _task_cell(scenario: Scenario, name: str) -> Experiment:
         stage=TASK,
         axis=f"{TASK}_{name}",
         points=tuple(points),
-        policies=(REFERENCE, *families, *study.policies),
+        policies=policies,
         seeds=study.seeds,
         warmup_s=study.warmup_s,
         duration_s=study.duration_s,
@@ -535,21 +538,31 @@ def learner_scenario(scenario: Scenario, learner: str) -> Scenario:
         raise ValueError(f"learner = {learner!r}: must be one of {', '.join(scenario.learned)}")
     learning = scenario.learned[learner]
 
+    def own(policies: tuple[str, ...]) -> tuple[str, ...]:
+        return learning.algorithm, *(p for p in policies if p not in scenario.learned)
+
+    return replace(
+        _listing(scenario, own),
+        learning=learning,
+        learners={},
+        task_study=replace(scenario.task_study, families={}, cells={}, policies=()),
+    )
+
+
+def _listing(scenario: Scenario, choose: Callable[[tuple[str, ...]], tuple[str, ...]]) -> Scenario:
+    """Return the scenario with other lists of policies: what is chosen of each."""
+
     def own(section: Any) -> Any:
         if not isinstance(section.policies, tuple):
             return section  # an axis that takes those of others
-        kept = [policy for policy in section.policies if policy not in scenario.learned]
-        return replace(section, policies=(learning.algorithm, *kept))
+        return replace(section, policies=choose(section.policies))
 
     axes = {name: own(axis) for name, axis in scenario.sweeps.axes.items()}
     return replace(
         scenario,
-        learning=learning,
-        learners={},
         evaluate=own(scenario.evaluate),
         sweeps=replace(own(scenario.sweeps), axes=axes),
         generalise=own(scenario.generalise),
-        task_study=replace(scenario.task_study, families={}, cells={}, policies=()),
     )
 
 

@@ -66,7 +66,12 @@ class Tried:
     embb_share: float  # throughput over the reference's
     embb_late_share: float  # mean over worlds
     tracking_rms_cm: float  # geometric mean over worlds
-    keeps_limit: bool
+    excess: float  # by how much the shares of throughput and lateness miss their limits, in sum
+
+    @property
+    def keeps_limit(self) -> bool:
+        """Whether it misses none."""
+        return self.excess == 0.0
 
     @property
     def order(self) -> tuple[bool, float, float]:
@@ -74,7 +79,7 @@ class Tried:
 
         Of equal ones it is the one next to 1.
         """
-        first = self.tracking_rms_cm if self.keeps_limit else -self.embb_share
+        first = self.tracking_rms_cm if self.keeps_limit else self.excess
         return not self.keeps_limit, first, abs(math.log(self.knob or 1.0))
 
 
@@ -182,13 +187,15 @@ def tune_cell(scenario: Scenario, results: Path, cell: str, measure: Measure) ->
     def tried(rule: Rule, knob: float | None) -> Tried:
         own = run(rule if knob is None else with_knob(rule, knob))
         share, late = own["embb_mbps"] / found["embb_mbps"], own["embb_late_share"]
-        keeps = share >= study.embb_share and (most_late is None or late <= most_late)
+        excess = max(0.0, study.embb_share - share)
+        if most_late is not None:
+            excess += max(0.0, late - most_late)
         return Tried(
             knob=knob,
             embb_share=share,
             embb_late_share=late,
             tracking_rms_cm=own["tracking_rms_cm"],
-            keeps_limit=keeps,
+            excess=excess,
         )
 
     families = {}
@@ -199,8 +206,8 @@ def tune_cell(scenario: Scenario, results: Path, cell: str, measure: Measure) ->
             choice = Choice(best=one, edge="", tried=(one,))
         else:
             choice = choose_knob(lambda knob, rule=rule: tried(rule, knob), *family.range)  # type: ignore[misc]
-        families[name] = {"key": rule.knob, **asdict(choice.best), "edge": choice.edge} | {
-            "tried": [asdict(one) for one in choice.tried]
+        families[name] = {"key": rule.knob, **_written(choice.best), "edge": choice.edge} | {
+            "tried": [_written(one) for one in choice.tried]
         }
         print(f"{cell} {name}: {rule.knob} = {choice.best.knob}", flush=True)
     document = {
@@ -212,6 +219,10 @@ def tune_cell(scenario: Scenario, results: Path, cell: str, measure: Measure) ->
     }
     text = json.dumps(document, indent=1, allow_nan=False)
     write_bytes(results / files.tuning_file(cell), (text + "\n").encode())
+
+
+def _written(one: Tried) -> dict[str, Any]:
+    return {**asdict(one), "keeps_limit": one.keeps_limit}
 
 
 def read_tuning(path: Path) -> dict[str, Any]:
@@ -237,11 +248,11 @@ def tuned_scenario(results: Path, experiment: Experiment, point: Point, policy: 
     others = {
         name: rule
         for name, rule in point.scenario.policies.items()
-        if name == policy or name not in experiment.policies
+        if name == policy or name not in point.tuned
     }
     variant = replace(point.scenario, policies=others)
     rule = variant.policies.get(policy)
-    if not isinstance(rule, Rule) or rule.knob is None:
+    if policy not in point.tuned or not isinstance(rule, Rule) or rule.knob is None:
         return variant
     path = results / files.tuning_file(cell_of(experiment))
     families = read_tuning(path)["families"]

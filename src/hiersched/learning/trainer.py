@@ -94,7 +94,7 @@ class Trainer:
         """One episode in every environment; the algorithm learns as they run, or behind."""
         sums = RoundSums(self.num_seeds, self.scenario.users.num_urllc)
         features = self._start(self.loop, self._worlds())
-        population = self.algorithm.population(explores=True)
+        population = self._population(explores=True)
         if population is None:
             self._act_and_learn(features, sums, on_record)
         else:
@@ -132,6 +132,11 @@ class Trainer:
             if losses is not None:
                 sums.add_losses(losses)
 
+    def _population(self, *, explores: bool) -> Weigher | None:
+        """Return what runs whole episodes; an algorithm of a plug-in need not have any."""
+        make = getattr(self.algorithm, "population", None)
+        return None if make is None else make(explores=explores)
+
     def _episode_of(self, population: Weigher, loop: SlotLoop) -> Iterator[tuple[int, SlotRecord]]:
         """Run the episodes that have begun; yield what has run, and its first slot."""
         slots = self.scenario.learning.slots_per_episode
@@ -145,7 +150,7 @@ class Trainer:
         """Run one episode in every fixed world without noise; nothing is learnt from it."""
         loop = self.fixed_loop
         features = self._start(loop, self._fixed_worlds)
-        population = self.algorithm.population(explores=False)
+        population = self._population(explores=False)
         if population is not None:
             for slot, record in self._episode_of(population, loop):
                 on_record(record, slot)

@@ -133,7 +133,7 @@ def observe_world(
 def _observe_robots(constants: Any, state: Any, env: int, features: Any) -> None:
     """Fill ROBOT_FEATURES of the URLLC users; the delay as the robots' loop forms it."""
     loop = constants.loop
-    largest = np.float64(loop.max_delay_steps)
+    largest = max(np.float64(loop.max_delay_steps), 1.0)  # 0 of a loop that knows no delay
     for robot in range(constants.num_urllc):
         x, y = state.robot_state[env, robot, 0], state.robot_state[env, robot, 1]
         distance_m = np.sqrt(fma(x, x, y * y))

@@ -38,7 +38,7 @@ class View(NamedTuple):
     # The robots' task: newest is the last set-point in the queue, held the one in force.
     set_point_age_s: NDArray[np.float64]  # (E, R) of the held one
     set_point_speed_mps: NDArray[np.float64]  # (E, R) of the newest
-    waiting_speed_mps: NDArray[np.float64]  # (E, R) greatest of those that wait, and the newest
+    waiting_speed_mps: NDArray[np.float64]  # (E, R) greatest since the oldest packet arrived
     set_point_acceleration_mps2: NDArray[np.float64]  # (E, R) of the newest, magnitude
     set_point_gap_m: NDArray[np.float64]  # (E, R) distance of newest and held
     reported_error_m: NDArray[np.float64]  # (E, R) position error as last reported

@@ -31,7 +31,9 @@ LEAST_DEADLINE_S, GREATEST_DEADLINE_S = 0.005, 0.2
 Floor = Annotated[NonNegative, Note("1", "assumed", "weight at rest, before k")]
 Speed = Annotated[
     Literal["newest", "waiting"],
-    Note("", "assumed", "v of the newest set-point, or the greatest of those that wait"),
+    Note(
+        "", "assumed", "v of the newest set-point, or the greatest since the oldest packet arrived"
+    ),
 ]
 
 NOTHING, NEWEST, WAITING, ACCELERATION, GAP, ERROR = range(6)

@@ -389,6 +389,16 @@ def _learning(scenario: Scenario, section: str, learning: Learning) -> list[str]
                 "no noise on actions",
             ),
             (
+                is_es and learning.reward_terms != "drift_plus_penalty",
+                f"{section}.reward_terms = {learning.reward_terms}: must be drift_plus_penalty "
+                f"with {section}.algorithm = es, which is judged by its fitness",
+            ),
+            (
+                is_es and learning.task_weight > 0.0,
+                f"{section}.task_weight = {learning.task_weight}: must be 0 with "
+                f"{section}.algorithm = es, which is judged by its fitness",
+            ),
+            (
                 is_es and learning.fitness == "tracking" and not scenario.plant.has_pose,
                 f"{section}.fitness = tracking: must be reward where plant.model = "
                 f"{scenario.plant.model}, whose robots have no position",
@@ -514,6 +524,12 @@ def _task_study(scenario: Scenario) -> list[str]:
             (
                 bool(study.cells) and not known,
                 "task_study.families = {}: must name one or more, since there are cells",
+            ),
+            (
+                bool(study.cells) and study.duration_s < scenario.traffic.embb_deadline_s,
+                f"task_study.duration_s = {study.duration_s}: must be at least "
+                f"traffic.embb_deadline_s = {scenario.traffic.embb_deadline_s}, so that eMBB "
+                "packets fall due",
             ),
         ),
     ]

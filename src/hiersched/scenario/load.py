@@ -166,6 +166,19 @@ def _with_axes(overlay: dict[str, Any], *, whole: bool = False) -> dict[str, Any
     return {**overlay, "sweeps": {**sweeps, "axes": axes}}
 
 
+def _without_none(merged: dict[str, Any]) -> dict[str, Any]:
+    """Leave out the families and cells of the study of the task that are null."""
+    study = merged.get("task_study")
+    if not isinstance(study, dict):
+        return merged  # validation says what is wrong
+    kept = {
+        name: {key: value for key, value in study[name].items() if value is not None}
+        for name in ("families", "cells")
+        if isinstance(study.get(name), dict)
+    }
+    return {**merged, "task_study": {**study, **kept}}
+
+
 def _with_learners(merged: dict[str, Any]) -> dict[str, Any]:
     """Fill in what learners leave to the section `learning`."""
     base, learners = merged.get("learning"), merged.get("learners")
@@ -207,7 +220,8 @@ def load_scenario(name_or_path: str | Path, *, defaults: Path | None = None) -> 
     for _, overlay in reversed(overlays):  # one that is resolved stands on its own
         merged = _merge(merged, overlay) if _missing_keys(overlay) else overlay
     sources = [*overlays, (defaults, {})]
-    merged = _with_learners(_with_points(_with_axes(merged, whole=True), sources))
+    merged = _without_none(_with_points(_with_axes(merged, whole=True), sources))
+    merged = _with_learners(merged)
     if "name" not in overlays[0][1]:  # that of a scenario which it extends is not its own
         merged["name"] = path.stem
     _load_plugins(merged, sources)

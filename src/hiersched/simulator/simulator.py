@@ -187,6 +187,8 @@ class Simulator:
         """
         if isinstance(policy, str):
             policy = find_policy(self.scenario, policy)
+        if weighs != "utility" and not isinstance(policy, Rule):
+            raise ValueError(f"weighs = {weighs!r}: must be utility for all policies but rules")
         if num_slots is None:
             num_slots = self._slots_of(policy, record)
         record = self._record(num_slots, record)

@@ -77,6 +77,11 @@ def first_aware(scenario: Scenario, cell: str) -> str | None:
     return next(aware, None)
 
 
+def keeps_limit(study: Study, cell: str, family: str | None) -> bool:
+    """Whether a family's knob keeps the limits of a cell in its design worlds."""
+    return family is not None and bool(study.tunings[cell]["families"][family]["keeps_limit"])
+
+
 def runs_of(study: Study, cell: str, policy: str, point: str = TUNED) -> pd.DataFrame:
     """Return the runs of a policy at a point of a cell, as `samples` takes them."""
     runs = study.task
@@ -107,7 +112,9 @@ def lines(scenario: Scenario) -> dict[str, list[str]]:
             for name, own in found.items()
             if (line_of(scenario, own[0]), cells[own[0]].bound_late) == kind
         )
-        found.setdefault(next(same, cell.rpartition("_")[0] or cell), []).append(cell)
+        short = cell.rpartition("_")[0] or cell
+        name = next(same, cell if short in found else short)
+        found.setdefault(name, []).append(cell)
     return {name: sorted(own, key=lambda c: load_of(scenario, c)) for name, own in found.items()}
 
 

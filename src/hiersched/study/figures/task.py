@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -23,6 +24,7 @@ from hiersched.study.task import (
     best_blind,
     best_family,
     first_aware,
+    keeps_limit,
     line_of,
     lines,
     load_of,
@@ -83,13 +85,15 @@ def draw_pareto(study: Study) -> Figure:
     rows = -(-len(cells) // columns)
     figure, axes = style.new_figure(columns, rows=rows, height_in=0.9 + 2.6 * rows)
     limit = scenario.task_study.embb_share
+    loads = {cell: load_of(scenario, cell) for cell in cells}
+    is_by_load = len(set(loads.values())) == len(cells)
     for panel, cell in zip(axes, cells, strict=False):
         own = table[table["cell"] == cell]
         for policy in dict.fromkeys(own["policy"]):
             _draw_curve(panel, own[own["policy"] == policy], family_look(scenario, policy))
         panel.axvline(100.0 * limit, color=style.GREY, linewidth=0.9)
         panel.set_yscale("log")
-        panel.set_title(f"load {load_of(scenario, cell):g}")
+        panel.set_title(f"load {loads[cell]:g}" if is_by_load else cell.replace("_", " "))
         panel.set_xlabel("eMBB throughput [% of reference]")
         shares = 100.0 * own["embb_share"]
         low = max(100.0 * LEAST_SHARE, float(shares.min()))
@@ -155,7 +159,7 @@ def draw_gain(study: Study) -> Figure:
     for column, (title, own) in enumerate(panels):
         for row, short in enumerate(RATIOS):
             panel = axes[row * len(panels) + column]
-            for look, (name, cells) in zip(_LINES, own.items(), strict=False):
+            for look, (name, cells) in zip(cycle(_LINES), own.items(), strict=False):
                 _draw_line(study, panel, cells, short, look._replace(label=name))
             panel.axhline(0.0, color=style.GREY, linewidth=0.9)
             if row == 0:
@@ -165,7 +169,8 @@ def draw_gain(study: Study) -> Figure:
                 panel.set_xlabel("offered load [1]")
     axes[0].set_ylabel("RMS error, change [%]")
     axes[len(panels)].set_ylabel("99 % quantile of error, change [%]")
-    aware = next((first_aware(scenario, cell) for cell in scenario.task_study.cells), None)
+    first = (first_aware(scenario, cell) for cell in scenario.task_study.cells)
+    aware = " or ".join(dict.fromkeys(name for name in first if name is not None))
     style.caption(
         figure,
         f"Change by {aware} against the best family that knows nothing of the task, both with "
@@ -202,7 +207,7 @@ def _draw_line(study: Study, panel: Axes, cells: list[str], short: str, look: Lo
     rows = []
     for cell in cells:
         aware, blind = first_aware(study.scenario, cell), best_blind(study, cell)
-        if aware is None or blind is None:
+        if aware is None or blind is None or not keeps_limit(study, cell, aware):
             continue
         columns = ratio_columns(study, cell, aware, blind, "blind")
         ratio = Interval(*(columns[f"{short}_over_blind{end}"] for end in ("", "_lo", "_hi")))
