@@ -256,7 +256,8 @@ def draw_learners(study: Study) -> Figure:
         panel.set_xlabel(f"{text}, change [%]")
     axes[2].set_xlabel("late eMBB packets [%]")
     axes[0].set_yticks(range(len(cells)), [cell.replace("_", " ") for cell in cells])
-    axes[0].invert_yaxis()
+    axes[0].set_ylim(len(cells) - 0.5, -0.5)
+    axes[2].set_xlim(left=-0.5, right=max(10.0, axes[2].get_xlim()[1]))
     style.shared_legend(figure, axes[0], axes[2])
     counts = sorted({len(scenario.learned[name].seeds) for name in learners})
     style.caption(
