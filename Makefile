@@ -45,10 +45,10 @@ paper: $(STAMP)  ## every figure and table of the paper (results/paper)
 smoke: $(STAMP)  ## the same pipeline, small enough for a few minutes (results/smoke)
 	$(RUN) snakemake --cores $(CORES) --config scenarios='[smoke]'
 
-teleop: $(STAMP)  ## what knowing the robots' tasks is worth, half an hour (results/teleop_fading)
+teleop: $(STAMP)  ## what knowing the robots' tasks is worth, twenty minutes (results/teleop_fading)
 	$(RUN) snakemake --cores $(CORES) --config scenarios='[teleop_fading]'
 
-teleop-learning: $(STAMP)  ## what learning adds to that, three quarters of an hour (results/teleop_learning, teleop_learning_105)
+teleop-learning: $(STAMP)  ## what learning adds to that, half an hour (results/teleop_learning, teleop_learning_105)
 	$(RUN) snakemake --cores $(CORES) --config scenarios='[teleop_learning, teleop_learning_105]'
 
 readme: $(STAMP)  ## write the verdicts of results/paper into the README

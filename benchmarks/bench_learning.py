@@ -45,7 +45,7 @@ VARIANTS = {
             "num_envs": 39,
             "episodes": 390,
         },
-        0.5,
+        0.4,
     ),
 }
 """Name -> keys of `learning` that differ from the scenario's, and the least speed as a multiple of
