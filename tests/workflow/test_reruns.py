@@ -41,7 +41,12 @@ MEASURES = {f"measure_{group}" for group in GROUPS}
 DDPG = {f"{name}_ddpg" for name in ("train", "evaluate", "generalise", "measure", *AXES)}
 A2C = {f"{name}_a2c" for name in ("train", "evaluate", "generalise", "measure", "load")}
 FROZEN = {f"{name}_{own}" for name in ("train", "measure") for own in ("frozen", "frozen_a2c")}
-LEARNED = {*DDPG, *A2C, *FROZEN, "bound"}
+ES = {
+    f"{name}_{own}"
+    for name in ("train", "measure", "task_hold", "task_batch")
+    for own in ("es_task", "es_blind")
+}
+LEARNED = {*DDPG, *A2C, *FROZEN, *ES, "bound"}
 SWEEPS = {f"{axis}_classical" for axis in (*AXES, "packets")}
 CLASSICAL = {*SWEEPS, "evaluate_classical", "generalise_classical", "measure_classical", "bound"}
 GAIN_RUNS = {f"gain_{name}_gains" for name in ("study", "grid", "sampling_s", "noise")}
