@@ -37,7 +37,6 @@ def flat(view):
 
 GROUPS = ("classical", "ddpg", "a2c")
 AXES = tuple(load_scenario("smoke").sweeps.axes)
-MEASURES = {f"measure_{group}" for group in GROUPS}
 DDPG = {f"{name}_ddpg" for name in ("train", "evaluate", "generalise", "measure", *AXES)}
 A2C = {f"{name}_a2c" for name in ("train", "evaluate", "generalise", "measure", "load")}
 FROZEN = {f"{name}_{own}" for name in ("train", "measure") for own in ("frozen", "frozen_a2c")}
