@@ -27,6 +27,7 @@ from hiersched.control.gain_schedule import GainSchedule, build_schedule, load_o
 from hiersched.control.h2 import h2_cost, h2_gain
 from hiersched.control.hysteresis import hold_delays, hold_step
 from hiersched.control.lifted import lift, simulate_random_delays, spectral_radius_by_delay
+from hiersched.control.lqg import FilterModel, Lqg, design_lqg, simulate_lqg, stationary_filter
 from hiersched.control.lqr import dlqr, latency_compensated, tracking_weights
 from hiersched.control.predictor import input_memory_radii, predictor_gains
 
@@ -64,6 +65,11 @@ __all__ = [
     "input_memory_radii",
     "h2_cost",
     "h2_gain",
+    "FilterModel",
+    "Lqg",
+    "design_lqg",
+    "stationary_filter",
+    "simulate_lqg",
     "GainDesign",
     "GainDesigner",
     "design_gain",

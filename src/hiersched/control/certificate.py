@@ -22,8 +22,9 @@ DEFAULT_DECAY_RATE = 0.02
 """Decay of V per sample that C1 certifies where nothing else is asked."""
 
 
-Method = Literal["krasovskii", "razumikhin", "predictor", "latency_compensated", "h2"]
-"""C3, C1 (certified by design); state prediction, K (A - B K)^T, H2-optimal (tried afterwards)."""
+Method = Literal["krasovskii", "razumikhin", "predictor", "latency_compensated", "h2", "lqg"]
+"""C3, C1 (certified by design); state prediction, K (A - B K)^T, H2-optimal (tried afterwards);
+filter, prediction and regulator."""
 
 Status = Literal["nominal", "adjusted", "uncertified", "infeasible"]
 """The nominal gain, certified; another one, certified; the method's, which no certificate covers;
@@ -66,6 +67,13 @@ Witness = RazumikhinWitness | DelayRazumikhinWitness | KrasovskiiWitness
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class SeparationWitness:
+    """Filter and regulator are stable each by itself: see `hiersched.control.lqg`."""
+
+    criterion: ClassVar[str] = "separation"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Certificate:
     """Outcome of a check."""
 
@@ -76,7 +84,8 @@ class Certificate:
     margins: Mapping[str, float] = field(default_factory=dict)
     tolerance: float = 0.0  # bound on the rounding error of the margins
     spectral_radii: FloatArray  # (T + 1,) of the lifted system at each constant delay; read-only
-    witness: Witness | None = None  # the matrices checked; None where none was found
+    # The matrices checked; None where none was found.
+    witness: Witness | SeparationWitness | None = None
 
     def __post_init__(self) -> None:
         """Make the radii read-only."""

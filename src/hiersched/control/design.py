@@ -24,6 +24,7 @@ from hiersched.control.checks import FloatArray, as_decay_rate, as_samples
 from hiersched.control.delayed_plant import DelayedPlant, require_network
 from hiersched.control.h2 import h2_gain
 from hiersched.control.krasovskii import KrasovskiiSynthesis, analyse_krasovskii
+from hiersched.control.lqg import FilterModel, design_lqg
 from hiersched.control.lqr import latency_compensated
 from hiersched.control.predictor import input_memory_radii, predictor_gains
 from hiersched.control.razumikhin import RazumikhinSynthesis, analyse_razumikhin
@@ -73,8 +74,10 @@ class GainDesigner:
     take the gain of their formula and then ask C3 whether it happens to be certified:
     ``predictor`` (`predictor_gains`: made for the delay T exactly), ``latency_compensated``
     (K (A - B K)^T), ``h2`` (`h2_gain`: for the constant delay T, from the nominal gain where that
-    is stable, else from the C3 gain). `decay_rate`, in (0, 1), is the decay of V per sample that
-    C1 has to certify; no other method uses it. ValueError if the method does not fit the plant.
+    is stable, else from the C3 gain). ``lqg`` keeps the nominal gain and adjusts the estimate on
+    which it acts, by a filter that believes the `model`. `decay_rate`, in (0, 1), is the decay of V
+    per sample that C1 has to certify; no other method uses it. ValueError if the method does not
+    fit the plant, or a model is missing.
     """
 
     def __init__(
@@ -83,6 +86,7 @@ class GainDesigner:
         *,
         method: Method = "krasovskii",
         decay_rate: float = DEFAULT_DECAY_RATE,
+        model: FilterModel | None = None,
     ) -> None:
         if method not in get_args(Method):
             raise ValueError(f"method is {method!r}; it must be one of {get_args(Method)}")
@@ -90,6 +94,12 @@ class GainDesigner:
             require_network(plant, f"the method {method!r}")
         self._plant, self._method, self._rate = plant, method, as_decay_rate(decay_rate)
         self._nominal_fails_at = math.inf
+        if (model is None) == (method == "lqg"):
+            raise ValueError(
+                f"model is {'missing' if model is None else 'given'}; the method 'lqg' needs one, "
+                "no other has any"
+            )
+        self.lqg = None if model is None else design_lqg(plant, model)
 
     def design(self, delay_steps: SupportsIndex) -> GainDesign:
         """Return the gain for all delays up to `delay_steps` samples.
@@ -99,7 +109,7 @@ class GainDesigner:
         T = as_samples("delay_steps", delay_steps)
         start, m = time.perf_counter(), self._plant.B.shape[1]
         input_gains = np.zeros((T, m, m))
-        if self._method in CERTIFYING:
+        if self.lqg is not None or self._method in CERTIFYING:
             gain, status, certificate = self._certified_gain(T)
         elif self._method == "predictor" and T > 0:
             A, B = self._plant.A, self._plant.B
@@ -126,6 +136,8 @@ class GainDesigner:
 
     def _certified_gain(self, T: int) -> _Found:
         nominal = self._plant.nominal_gain
+        if self.lqg is not None:
+            return nominal, "nominal", self.lqg.certificate(T)
         certificate = self._certify(nominal, T, self._nominal_witness(T))
         if certificate.certified:
             return nominal, "nominal", certificate
@@ -188,6 +200,8 @@ def design_gain(
     method: Method = "krasovskii",
     *,
     decay_rate: float = DEFAULT_DECAY_RATE,
+    model: FilterModel | None = None,
 ) -> GainDesign:
     """Return the gain for all delays up to `delay_steps` samples; see `GainDesigner`."""
-    return GainDesigner(plant, method=method, decay_rate=decay_rate).design(delay_steps)
+    designer = GainDesigner(plant, method=method, decay_rate=decay_rate, model=model)
+    return designer.design(delay_steps)

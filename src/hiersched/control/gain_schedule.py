@@ -22,12 +22,14 @@ from hiersched.control.certificate import (
     KrasovskiiWitness,
     Method,
     RazumikhinWitness,
+    SeparationWitness,
     Status,
     Witness,
 )
 from hiersched.control.checks import FloatArray, as_matrix, as_samples
 from hiersched.control.delayed_plant import DelayedPlant
 from hiersched.control.gain_schedule_check import check_schedule
+from hiersched.control.lqg import FilterModel, Lqg
 from hiersched.core.files import write_bytes
 from hiersched.core.sealed import seal_json, unseal_json
 
@@ -41,9 +43,14 @@ _MOST = 1000
 """States, inputs, delays: a file that claims more is none."""
 _UNSEALED = "hiersched gain schedule 2"
 """Of earlier versions, without a checksum: still in their logs."""
-_WITNESSES: dict[str, type[Witness]] = {
+_WITNESSES: dict[str, type[Witness | SeparationWitness]] = {
     witness.criterion: witness
-    for witness in (RazumikhinWitness, DelayRazumikhinWitness, KrasovskiiWitness)
+    for witness in (
+        RazumikhinWitness,
+        DelayRazumikhinWitness,
+        KrasovskiiWitness,
+        SeparationWitness,
+    )
 }
 _HEAD: dict[str, type] = {
     "key": str,
@@ -82,6 +89,7 @@ class GainSchedule:
     # if left out.
     input_gains: FloatArray = field(default_factory=lambda: np.empty(0))
     operator_gain: FloatArray | None = None  # (m, n), the operator's over the network (split)
+    lqg: Lqg | None = None  # filter and regulator of the method lqg, for all delays
 
     def __post_init__(self) -> None:
         """Check that the tables fit each other and freeze the arrays."""
@@ -178,13 +186,13 @@ class GainSchedule:
             raise ValueError(f"delay_steps is {steps}; it must lie in 0..{self.max_delay_steps}")
         return np.asarray(self.gains[steps])
 
-    def verify(self, plant: DelayedPlant) -> None:
-        """Recompute for a plant all that the schedule says of its gains.
+    def verify(self, plant: DelayedPlant, model: FilterModel | None = None) -> None:
+        """Recompute for a plant, and what its filter believes, all that the schedule says.
 
         Numbers may differ by what another processor rounds differently. ValueError if a gain, its
         status or its certificate is not what this method makes for this plant.
         """
-        check_schedule(self, plant)
+        check_schedule(self, plant, model)
 
     def to_json(self) -> str:
         """Return the schedule as JSON, floats in their shortest form that reads back exactly."""
@@ -200,6 +208,8 @@ class GainSchedule:
         ]
         head = {name: getattr(self, name) for name in _HEAD}
         document = {"format": FORMAT, **head, "entries": entries}
+        if self.lqg is not None:
+            document["lqg"] = self.lqg
         return seal_json(document, default=_plain)
 
     @classmethod
@@ -239,6 +249,7 @@ class GainSchedule:
             status=tuple(_field(entry, "status", str) for entry in entries),
             certificates=tuple(map(_parse_certificate, certificates)),
             input_gains=_parse_input_gains(entries, len(head["nominal"])),
+            lqg=_parse_lqg(document) if "lqg" in document else None,
         )
 
 
@@ -251,7 +262,7 @@ def _unsealed(text: str) -> dict[str, Any] | None:
     return document if isinstance(document, dict) and "sha256" not in document else None
 
 
-def _plain(value: FloatArray | Certificate | Witness) -> Any:
+def _plain(value: Any) -> Any:
     if isinstance(value, np.ndarray):
         return value.tolist()
     if isinstance(value, Certificate):
@@ -274,9 +285,19 @@ def _parse_input_gains(entries: list[Any], inputs: int) -> FloatArray:
     return table
 
 
+def _parse_lqg(document: Mapping[str, Any]) -> Lqg:
+    values = _field(document, "lqg", dict)
+    believed = _field(values, "model", dict)
+    model = FilterModel(
+        **{part.name: _field(believed, part.name, np.ndarray) for part in fields(FilterModel)}
+    )
+    names = [part.name for part in fields(Lqg) if part.name != "model"]
+    return Lqg(model=model, **{name: _field(values, name, np.ndarray) for name in names})
+
+
 def _parse_certificate(document: Mapping[str, Any]) -> Certificate:
     criterion = _field(document, "criterion", str)
-    witness: Witness | None = None
+    witness: Witness | SeparationWitness | None = None
     if criterion != "none":
         if criterion not in _WITNESSES:
             raise ValueError(f"criterion is {criterion!r}; it must be one of {list(_WITNESSES)}")
@@ -310,7 +331,11 @@ def _field(document: Mapping[str, Any], name: str, kind: type) -> Any:
 
 
 def design_key(
-    plant: DelayedPlant, max_delay_steps: SupportsIndex, method: Method, decay_rate: float
+    plant: DelayedPlant,
+    max_delay_steps: SupportsIndex,
+    method: Method,
+    decay_rate: float,
+    model: FilterModel | None = None,
 ) -> str:
     """Return the SHA-256, in hexadecimal, of everything that `build_schedule` depends on."""
     inputs: dict[str, Any] = {
@@ -324,6 +349,8 @@ def design_key(
     for name in ("A", "B", "Q", "R", "nominal_gain", "A_d", "operator_gain"):
         array = getattr(plant, name)
         inputs[name] = None if array is None else array.tolist()
+    if model is not None:
+        inputs["model"] = {name: value.tolist() for name, value in vars(model).items()}
     text = json.dumps(inputs, sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -334,6 +361,7 @@ def build_schedule(
     method: Method = "krasovskii",
     *,
     decay_rate: float = DEFAULT_DECAY_RATE,
+    model: FilterModel | None = None,
     key: str | None = None,
 ) -> GainSchedule:
     """Design the gain of every delay 0..T_max in samples; each is that of `GainDesigner`.
@@ -342,7 +370,7 @@ def build_schedule(
     """
     from hiersched.control.design import GainDesigner
 
-    designer = GainDesigner(plant, method=method, decay_rate=decay_rate)
+    designer = GainDesigner(plant, method=method, decay_rate=decay_rate, model=model)
     steps = as_samples("max_delay_steps", max_delay_steps)
     designs = [designer.design(delay) for delay in range(steps + 1)]
     logger.info(
@@ -368,7 +396,8 @@ def build_schedule(
         method=method,
         decay_rate=decay_rate if method == "razumikhin" else None,
         sampling_s=plant.sampling_s,
-        key=design_key(plant, steps, method, decay_rate) if key is None else key,
+        key=design_key(plant, steps, method, decay_rate, model) if key is None else key,
+        lqg=designer.lqg,
     )
 
 
@@ -379,6 +408,7 @@ def load_or_build(
     method: Method = "krasovskii",
     *,
     decay_rate: float = DEFAULT_DECAY_RATE,
+    model: FilterModel | None = None,
     key: str | None = None,
 ) -> GainSchedule:
     """Return the schedule cached as JSON at `path` if it is this design's, else build and store it.
@@ -387,16 +417,19 @@ def load_or_build(
     is replaced atomically. The rest is as for `build_schedule`.
     """
     target = Path(path)
-    key = design_key(plant, max_delay_steps, method, decay_rate) if key is None else key
+    if key is None:
+        key = design_key(plant, max_delay_steps, method, decay_rate, model)
     if target.exists():
         try:
             schedule = GainSchedule.from_json(target.read_text(encoding="utf-8"))
             if schedule.key == key:
-                schedule.verify(plant)
+                schedule.verify(plant, model)
                 return schedule
             logger.info("%s holds another design's gains; designing anew", target)
         except ValueError as error:
             logger.warning("%s is not usable (%s); designing anew", target, error)
-    schedule = build_schedule(plant, max_delay_steps, method, decay_rate=decay_rate, key=key)
+    schedule = build_schedule(
+        plant, max_delay_steps, method, decay_rate=decay_rate, model=model, key=key
+    )
     write_bytes(target, schedule.to_json().encode())
     return schedule

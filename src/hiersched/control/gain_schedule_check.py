@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiersched.control.certificate import Certificate, certify
+from hiersched.control.certificate import Certificate, SeparationWitness, certify
 from hiersched.control.checks import FloatArray
 from hiersched.control.delayed_plant import DelayedPlant
 from hiersched.control.h2 import h2_gain
+from hiersched.control.lqg import FilterModel, design_lqg
 from hiersched.control.lqr import latency_compensated
 from hiersched.control.predictor import input_memory_radii, predictor_gains
 
@@ -27,20 +28,21 @@ _OUTCOMES = {
     "predictor": ("nominal", "uncertified"),
     "latency_compensated": ("nominal", "adjusted", "uncertified", "infeasible"),
     "h2": ("nominal", "adjusted", "uncertified", "infeasible"),
+    "lqg": ("nominal",),
 }
 """Method -> the statuses that its gains can have."""
 
 
-def check_schedule(schedule: GainSchedule, plant: DelayedPlant) -> None:
+def check_schedule(schedule: GainSchedule, plant: DelayedPlant, model: FilterModel | None) -> None:
     """As `GainSchedule.verify`."""
     with np.errstate(all="ignore"):
         try:
-            _check(schedule, plant)
+            _check(schedule, plant, model)
         except (TypeError, LookupError, ArithmeticError) as error:
             raise ValueError(f"it cannot be checked: {error!r:.200}") from error
 
 
-def _check(schedule: GainSchedule, plant: DelayedPlant) -> None:
+def _check(schedule: GainSchedule, plant: DelayedPlant, model: FilterModel | None) -> None:
     for name in ("kind", "sampling_s"):
         own, wanted = getattr(schedule, name), getattr(plant, name)
         if own != wanted:
@@ -53,15 +55,32 @@ def _check(schedule: GainSchedule, plant: DelayedPlant) -> None:
         raise ValueError("operator_gain is there, or not, against what the plant has")
     if schedule.operator_gain is not None and operator is not None:
         _same("operator_gain", schedule.operator_gain, operator)
+    _check_lqg(schedule, plant, model)
     for delay in range(schedule.max_delay_steps + 1):
         _check_gain(schedule, plant, delay)
+
+
+def _check_lqg(schedule: GainSchedule, plant: DelayedPlant, model: FilterModel | None) -> None:
+    """Compare filter and regulator with those of the plant and of what the filter believes."""
+    own = schedule.lqg
+    if (own is not None) != (schedule.method == "lqg"):
+        raise ValueError(f"lqg is there, or not, against the method {schedule.method!r}")
+    if own is None:
+        return
+    if model is None:
+        raise ValueError("lqg is there; the plant has no model for a filter")
+    for name, wanted in vars(model).items():
+        _same(f"lqg.model.{name}", getattr(own.model, name), wanted)
+    design = design_lqg(plant, model)
+    for name in ("regulator", "filter_gain", "covariance"):
+        _same(f"lqg.{name}", getattr(own, name), getattr(design, name))
 
 
 def _check_gain(schedule: GainSchedule, plant: DelayedPlant, delay: int) -> None:
     method, status = schedule.method, schedule.status[delay]
     gain, inputs = schedule.gains[delay], schedule.input_gains[delay, :delay]
     old = schedule.certificates[delay]
-    criterion = "razumikhin" if method == "razumikhin" else "krasovskii"
+    criterion = {"razumikhin": "razumikhin", "lqg": "separation"}.get(method, "krasovskii")
     if status not in _OUTCOMES[method] or old.criterion not in (criterion, "none"):
         raise ValueError(
             f"status[{delay}] is {status!r}, certified by {old.criterion}: {method} gives "
@@ -73,7 +92,9 @@ def _check_gain(schedule: GainSchedule, plant: DelayedPlant, delay: int) -> None
             f"the witness for T={delay} promises the decay {promised!r}; it must be "
             f"{schedule.decay_rate!r}"
         )
-    if method == "predictor" and delay > 0:
+    if schedule.lqg is not None:
+        new = schedule.lqg.certificate(delay)
+    elif method == "predictor" and delay > 0:
         wanted, wanted_inputs = predictor_gains(plant.A, plant.B, plant.nominal_gain, delay)
         _same(f"gains[{delay}]", gain, wanted)
         _same(f"input_gains[{delay}]", inputs, wanted_inputs)
@@ -88,6 +109,7 @@ def _check_gain(schedule: GainSchedule, plant: DelayedPlant, delay: int) -> None
             )
         if delay > 0 and status != "infeasible":
             _check_formula(schedule, plant, delay)
+        assert not isinstance(old.witness, SeparationWitness)  # by its criterion
         new = certify(*plant.closed_loop(gain), delay, old.witness)
     _check_certificate(delay, old, new)
 

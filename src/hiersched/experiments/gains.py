@@ -12,7 +12,7 @@ from hiersched.control import GainSchedule, load_or_build
 from hiersched.experiments.points import Experiment, experiments, value_text
 from hiersched.scenario import Scenario
 from hiersched.simulator.gain_source import design_values, read_gains, scenario_key
-from hiersched.simulator.loop_gains import Gains, loop_gains, plant_of
+from hiersched.simulator.loop_gains import Gains, filter_model_of, loop_gains, plant_of
 
 
 @lru_cache(maxsize=8)
@@ -61,8 +61,15 @@ def design_gains(scenario: Scenario, design: str, path: Path) -> GainSchedule:
         raise ValueError(f"design = {design!r}: must be one of {', '.join(known)}")
     own, control = known[design], known[design].control
     path.parent.mkdir(parents=True, exist_ok=True)
-    steps, rate, key = own.max_delay_steps, control.decay_rate, scenario_key(own)
-    return load_or_build(path, plant_of(own), steps, control.method, decay_rate=rate, key=key)
+    return load_or_build(
+        path,
+        plant_of(own),
+        own.max_delay_steps,
+        control.method,
+        decay_rate=control.decay_rate,
+        model=filter_model_of(own),
+        key=scenario_key(own),
+    )
 
 
 def load_gains(path: Path, scenario: Scenario) -> tuple[GainSchedule, Gains]:

@@ -38,6 +38,7 @@ STUDY_PLANTS: dict[GainMethod, Literal["network", "split"]] = {
     "krasovskii": "network",
     "razumikhin": "split",
     "predictor": "network",
+    "lqg": "network",
     "latency_compensated": "network",
     "h2": "network",
 }
@@ -452,7 +453,7 @@ def _method_scenario(scenario: Scenario, method: GainMethod) -> Scenario:
     """
     own = scenario.control
     loop = STUDY_PLANTS[method] if scenario.plant.chooses_loop else own.loop
-    either = "predictor" in (method, own.method)
+    either = hold_of(method) != hold_of(own.method)
     hold_samples = hold_of(method) if either else own.hold_samples
     control = replace(own, method=method, loop=loop, hold_samples=hold_samples)
     return replace(scenario, control=control)

@@ -24,10 +24,12 @@ from pydantic import ConfigDict
 from hiersched.core.fields import ModelField
 from hiersched.core.parameters import STRICT, Note
 from hiersched.core.registry import PluginError, Registry
+from hiersched.models.plant.estimator import estimate_fields, filter_memory
 from hiersched.models.plant.feedback import LoopMemory
 
 if TYPE_CHECKING:
     from hiersched.control import DelayedPlant
+    from hiersched.control.lqg import FilterModel
     from hiersched.scenario.schema import Scenario
 
 
@@ -44,11 +46,16 @@ class Setup:
         scenario, of_robot = self.scenario, (self.num_envs, self.scenario.users.num_urllc)
         length_s = self.num_slots * scenario.radio.slot_s
         samples = math.ceil(length_s / scenario.control.sampling_s - 1e-9)
+        size = scenario.filter_size
+        places = samples if size else scenario.max_delay_steps
         return LoopMemory(
             history=np.zeros((*of_robot, samples + 1, n)),
-            commands=np.zeros((*of_robot, scenario.max_delay_steps + 1, m)),
+            commands=np.zeros((*of_robot, places + 1, m)),
             control=np.zeros((*of_robot, m)),
             held=np.zeros((*of_robot, 2), np.int64),
+            filter=filter_memory(
+                of_robot, samples, size, m, is_known=scenario.control.known_motion
+            ),
         )
 
     def first_value(self, model: Model, name: str) -> int:
@@ -170,12 +177,13 @@ class Plant(Model):
     `has_pose`: whether robots have a position, for what looks at it, and a reference that may be
     late. `chooses_loop`: whether
     `control.loop` decides what crosses the network. `design_keys`: keys on which `design` depends;
-    None: on all.
+    None: on all. `num_disturbances`: states of `filter_model` behind those of the plant.
     """
 
     has_pose: ClassVar[bool] = False
     chooses_loop: ClassVar[bool] = False
     design_keys: ClassVar[tuple[str, ...] | None] = None
+    num_disturbances: ClassVar[int] = 0
 
     def loop(self, scenario: Scenario) -> Literal["network", "split", "local"]:
         """Return what crosses the network: all feedback, a part, or none."""
@@ -188,6 +196,26 @@ class Plant(Model):
     def design(self, scenario: Scenario) -> DelayedPlant:
         """Return the linear plant for which the gains are designed."""
         raise NotImplementedError
+
+    def filter_model(self, scenario: Scenario) -> FilterModel:
+        """Return what the filter of the method lqg believes: the plant, and what disturbs it.
+
+        Its first states are those of the plant. ValueError, which says why, if there is none.
+        """
+        raise ValueError(f"plant.model = {self.model!r} says nothing of its noise (`filter_model`)")
+
+    def position_states(self) -> tuple[int, ...]:
+        """Return the states whose norm is the position error."""
+        return (0, 1)
+
+    def motion_models(
+        self, scenario: Scenario
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return A, A_speed, B, B_speed of `FilterConstants` where the reference's motion is known.
+
+        ValueError, which says why, if there is no such motion.
+        """
+        raise ValueError(f"plant.model = {self.model!r} follows no reference")
 
 
 M = TypeVar("M", bound=type[Model])
@@ -244,13 +272,19 @@ def models_of(scenario: Scenario) -> dict[str, Model]:
 
 
 def model_fields(scenario: Scenario) -> tuple[ModelField, ...]:
-    """Return what the models of a scenario add to the log, in the order of `SECTIONS`."""
+    """Return what the models of a scenario add to the log, in the order of `SECTIONS`.
+
+    The filters of its robots add to what their plant does.
+    """
     found: list[ModelField] = []
     start = 0
     for key in SECTIONS:
         model: Model = attrgetter(key)(scenario)
         count = scenario.users.num_urllc if isinstance(model, Plant) else scenario.num_users
-        for name, unit in model.log_fields.items():
+        own = dict(model.log_fields)
+        if isinstance(model, Plant) and scenario.filter_size:
+            own |= estimate_fields(scenario.robot_sizes[0])
+        for name, unit in own.items():
             if count:
                 found.append(ModelField(f"{key}/{name}", unit, start, count))
                 start += count

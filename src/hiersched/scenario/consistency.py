@@ -57,8 +57,10 @@ RESERVED_AXES = (
 """Names of other experiments, of what they vary, and of jobs."""
 RESERVED_LEARNERS = ("classical", "gains")
 """Names of jobs of policies that are not trained."""
-NETWORK_METHODS = ("predictor", "latency_compensated", "h2")
+NETWORK_METHODS = ("predictor", "latency_compensated", "h2", "lqg")
 """Gain methods for plants whose whole feedback crosses the network."""
+PREDICTING = ("predictor", "lqg")
+"""Of them those that predict over the delay."""
 
 
 def inconsistencies(scenario: Scenario, *, swept: bool = False) -> list[str]:
@@ -241,6 +243,13 @@ def _tasks(scenario: Scenario) -> list[str]:
                 f"{follows}: must be one that follows packets (`tracks_packets`), such as 'fifo', "
                 f"with robot.superseding = {robot.superseding!r}",
             ),
+            (
+                robot.superseding != "none"
+                and scenario.filter_size > 0
+                and scenario.control.delay != "age",
+                f"control.delay = {scenario.control.delay!r}: must be 'age' with control.method = "
+                f"'lqg' and robot.superseding = {robot.superseding!r}",
+            ),
         ),
     ]
 
@@ -250,9 +259,9 @@ def _control(scenario: Scenario) -> list[str]:
     control, kind = scenario.control, scenario.loop_kind
     return _broken(
         (
-            control.method == "predictor" and control.hold_samples > 0,
+            control.method in PREDICTING and control.hold_samples > 0,
             f"control.hold_samples = {control.hold_samples}: must be 0 with control.method = "
-            "'predictor' (a prediction over T samples is right for the delay T alone)",
+            f"{control.method!r} (a prediction over T samples is right for the delay T alone)",
         ),
         (
             control.method == "razumikhin" and kind == "network",

@@ -24,7 +24,7 @@ from hiersched.policies.find import ImportedPolicy
 from hiersched.policies.registry import Rule
 from hiersched.scenario.choice import chosen_from, policy_entry, rule_entry
 
-GainMethod = Literal["krasovskii", "razumikhin", "predictor", "latency_compensated", "h2"]
+GainMethod = Literal["krasovskii", "razumikhin", "predictor", "latency_compensated", "h2", "lqg"]
 Reference = Literal["straight", "arc", "figure_eight", "zigzag", "reach", "file"]
 Range = tuple[Positive, Positive]
 """Least and greatest."""
@@ -163,6 +163,12 @@ class Control(_Strict):
     decay_rate: Annotated[float, Field(ge=0, lt=1)]
     gain: Literal["adjusted", "nominal"]
     hold_samples: Annotated[int, Field(ge=0)]
+    known_motion: bool
+    stamp_error_samples: Annotated[int, Field(ge=-1000, le=1000)]
+    believed_lag_s: Positive | None
+    believed_slip_speed_mps: NonNegative | None
+    believed_slip_turn_rate_radps: NonNegative | None
+    believed_slip_time_s: Positive | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -376,6 +382,18 @@ class Scenario(_Strict):
         """States and inputs of a robot, and the standard normals that it takes a slot."""
         return self.plant.sizes(self)
 
+    def believed(self, name: str) -> float:
+        """Return what the controller believes of a key of the robot, such as ``slip_time_s``."""
+        value: float | None = getattr(self.control, "believed_" + name.removeprefix("actuator_"))
+        return float(getattr(self.robot, name)) if value is None else value
+
+    @property
+    def filter_size(self) -> int:
+        """States of the filter in a robot's loop, 0 without one."""
+        if self.control.method != "lqg" or self.control.gain == "nominal":
+            return 0
+        return self.robot_sizes[0] + self.plant.num_disturbances
+
     @property
     def loop_kind(self) -> Literal["network", "split", "local"]:
         """Whether all feedback crosses the network, a part of it, or none."""
@@ -416,7 +434,7 @@ def hold_of(method: str) -> int:
     A gain for a long delay that stays for a while keeps a loop that delays make switch every few
     samples from growing. A prediction over T samples is right for the delay T alone.
     """
-    return 0 if method == "predictor" else 5
+    return 0 if method in ("predictor", "lqg") else 5
 
 
 def worlds_per_round(learning: Learning) -> int:

@@ -14,7 +14,7 @@ from hiersched.core.extras import naming_extras
 from hiersched.core.faults import InputError
 from hiersched.scenario import Scenario, scenario_to_dict
 from hiersched.scenario.plugins import CONFIG
-from hiersched.simulator.loop_gains import Gains, loop_gains, plant_of
+from hiersched.simulator.loop_gains import Gains, filter_model_of, loop_gains, plant_of
 
 SHIPPED = CONFIG / "gains"
 
@@ -31,6 +31,22 @@ DESIGN_KEYS = (
     "plant.model",
 )
 """What every design reads; `design_values` adds the keys of the plant."""
+FILTER_KEYS = (
+    "robot.slip_speed_mps",
+    "robot.slip_turn_rate_radps",
+    "robot.slip_time_s",
+    "robot.noise_position_m",
+    "robot.noise_heading_rad",
+    "plant",
+)
+"""What the design of a filter reads besides."""
+BELIEFS = (
+    "control.believed_lag_s",
+    "control.believed_slip_speed_mps",
+    "control.believed_slip_turn_rate_radps",
+    "control.believed_slip_time_s",
+)
+"""What a design reads where it is set."""
 
 
 @lru_cache(maxsize=1024)
@@ -40,11 +56,13 @@ def design_values(scenario: Scenario) -> str:
     plant = ("plant",) if own is None else tuple(f"plant.{name}" for name in own)
     data = scenario_to_dict(scenario)
     values: dict[str, Any] = {}
-    for key in dict.fromkeys((*DESIGN_KEYS, *plant)):
+    of_filter = FILTER_KEYS if scenario.control.method == "lqg" else ()
+    for key in dict.fromkeys((*DESIGN_KEYS, *plant, *of_filter, *BELIEFS)):
         value: Any = data
         for part in key.split("."):
             value = value[part]
-        values[key] = value
+        if value is not None or key not in BELIEFS:
+            values[key] = value
     return json.dumps(values, sort_keys=True)
 
 
@@ -77,7 +95,7 @@ def check_gains(schedule: GainSchedule, scenario: Scenario) -> None:
         found = getattr(schedule, name)
         if found != wanted:
             raise ValueError(f"{name} is {found!r}; it must be {wanted!r}, as in the scenario")
-    schedule.verify(plant_of(scenario))
+    schedule.verify(plant_of(scenario), filter_model_of(scenario))
 
 
 class GainsError(InputError, ValueError):
@@ -108,6 +126,7 @@ def design_schedule(scenario: Scenario) -> GainSchedule:
             scenario.max_delay_steps,
             control.method,
             decay_rate=control.decay_rate,
+            model=filter_model_of(scenario),
             key=scenario_key(scenario),
         )
 

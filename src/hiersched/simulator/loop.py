@@ -337,7 +337,8 @@ def _move_robots(plugs: Any, constants: Any, state: Any, slot: Any, env: int) ->
             state.delay_s[env, robot] = 0.0
         steps = steps_of_delay(state.delay_s[env, robot], loop.sampling_s)
         slot.delay_steps[robot] = steps
-        slot.delay_capped[robot] = 1 if steps > loop.max_delay_steps else 0
+        capped = steps > loop.max_delay_steps and not loop.filter.is_on
+        slot.delay_capped[robot] = 1 if capped else 0
         slot.control_saturated[robot] = 0
     call_plug(plugs.plant, constants, state, slot, env)
     copy(state.gain_delay_steps[env], slot.gain_delay_steps)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.control import DelayedPlant, GainSchedule
+from hiersched.control.lqg import FilterModel, Lqg
 from hiersched.scenario.schema import Scenario
 
 
@@ -23,6 +24,7 @@ class Gains:
     network_gains: NDArray[np.float64]  # (T_max + 1, m, n) on the delayed measurement
     input_gains: NDArray[np.float64]  # (T_max + 1, T_max, m, m) on past commands, the newest first
     adjusted: NDArray[np.bool_]  # (T_max + 1,) whether an entry is not the nominal gain
+    lqg: Lqg | None = None  # filter and regulator, in place of the tables
 
     @classmethod
     def memoryless(
@@ -45,16 +47,27 @@ def plant_of(scenario: Scenario) -> DelayedPlant:
     return scenario.plant.design(scenario)
 
 
+def filter_model_of(scenario: Scenario) -> FilterModel | None:
+    """Return what the filter of the scenario's method believes; None for methods without one."""
+    return scenario.plant.filter_model(scenario) if scenario.control.method == "lqg" else None
+
+
 def loop_gains(schedule: GainSchedule, gain: Literal["adjusted", "nominal"]) -> Gains:
     """Tables of a schedule for the loop, or those of its nominal gain, whatever the delay."""
     local, network = schedule.local_gains, schedule.network_gains
     inputs = schedule.input_gains.copy()
     differs = (schedule.gains != schedule.nominal).any(axis=(1, 2)) | inputs.any(axis=(1, 2, 3))
+    lqg = schedule.lqg
+    if lqg is not None:
+        differs[1:] = True  # it acts on an estimate, not on what is measured
     if gain == "nominal":
+        lqg = None
         (network if schedule.kind == "network" else local)[:] = schedule.nominal
         inputs[:] = 0.0
         differs[:] = False
-    return Gains(local_gains=local, network_gains=network, input_gains=inputs, adjusted=differs)
+    return Gains(
+        local_gains=local, network_gains=network, input_gains=inputs, adjusted=differs, lqg=lqg
+    )
 
 
 def nominal_gains(scenario: Scenario) -> Gains:

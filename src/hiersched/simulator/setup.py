@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.models.model import Belief, Setup, num_model_values
+from hiersched.models.model import Belief, Setup, model_fields, num_model_values
+from hiersched.models.plant.estimator import FilterConstants, no_filter
 from hiersched.models.plant.feedback import LoopConstants
 from hiersched.models.queue.fifo import SUPERSEDING
 from hiersched.scenario.schema import Scenario
@@ -166,9 +167,42 @@ def _loop_constants(scenario: Scenario, gains: Gains) -> LoopConstants:
         **tables,
         has_memory=bool(tables["input_gain"].any()),
         hold_samples=scenario.control.hold_samples,
+        stamp_error=scenario.control.stamp_error_samples,
         is_local=scenario.loop_kind == "local",
         by_age=scenario.control.delay == "age",
         adjusted_delay_steps=np.where(gains.adjusted, np.arange(count), 0).astype(np.uint32),
+        filter=_filter_constants(scenario, gains),
+    )
+
+
+def _filter_constants(scenario: Scenario, gains: Gains) -> FilterConstants:
+    """Return the constants of the robots' filters."""
+    lqg, size = gains.lqg, scenario.filter_size
+    if (0 if lqg is None else len(lqg.model.A)) != size:
+        raise ValueError(
+            f"lqg: {'missing' if lqg is None else 'given'}, or of another size: must be a filter "
+            f"of {size} states"
+        )
+    if lqg is None:
+        return no_filter(scenario.robot_sizes[1])
+    # As in tables of gains: read-only arrays are another type.
+    A, B = np.array(lqg.model.A)[None], np.array(lqg.model.B)[None]
+    models = A, np.zeros_like(A), B, np.zeros_like(B)
+    if scenario.control.known_motion:
+        models = scenario.plant.motion_models(scenario)
+    fields = model_fields(scenario)
+    return FilterConstants(
+        True,
+        scenario.control.known_motion,
+        scenario.robot.superseding == "none",
+        *models,
+        process_covariance=np.array(lqg.model.process_covariance),
+        measurement_variance=np.array(lqg.model.measurement_variance),
+        gain=np.array(lqg.filter_gain, order="C"),
+        regulator=np.array(lqg.regulator),
+        covariance=np.array(lqg.covariance),
+        position_states=np.array(scenario.plant.position_states(), np.int64),
+        first_value=next(f.start for f in fields if f.name == "plant/estimate_0"),
     )
 
 

@@ -12,6 +12,9 @@ from hiersched.control.checks import as_matrix, as_positive, as_square
 
 FloatArray = npt.NDArray[np.float64]
 
+NUM_SLIP = 2
+"""States of the slip, of speed and of turn rate."""
+
 
 def unicycle_error_model(
     speed_mps: float, turn_rate_radps: float, actuator_lag_s: float
@@ -60,3 +63,70 @@ def discretise(
     block[:n, :n], block[:n, n:] = state, inputs
     transition = np.asarray(expm(block * sampling_s), dtype=np.float64)
     return transition[:n, :n].copy(), transition[:n, n:].copy()
+
+
+def slipping_error_model(
+    speed_mps: float, turn_rate_radps: float, actuator_lag_s: float, slip_time_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """Extend `unicycle_error_model` by slips of speed and turn rate, Ornstein-Uhlenbeck processes.
+
+    The states (s_v, s_w), behind those of the robot, add to what moves it, and forget themselves in
+    `slip_time_s`. Returns A_c (7, 7) and B_c (7, 2); errors as there.
+    """
+    A_c, B_c = unicycle_error_model(speed_mps, turn_rate_radps, actuator_lag_s)
+    as_positive("slip_time_s", slip_time_s)
+    n = len(A_c)
+    extended = np.zeros((n + NUM_SLIP, n + NUM_SLIP))
+    extended[:n, :n] = A_c
+    extended[0, n] = extended[2, n + 1] = 1.0
+    extended[n, n] = extended[n + 1, n + 1] = -1.0 / slip_time_s
+    return extended, np.vstack([B_c, np.zeros((NUM_SLIP, B_c.shape[1]))])
+
+
+def discretise_noise(A_c: npt.ArrayLike, density: npt.ArrayLike, sampling_s: float) -> FloatArray:
+    """Return the covariance (n, n) that white noise adds to the state in one interval.
+
+    It is the integral of exp(A_c s) Q exp(A_c s)^T over `sampling_s`, Q the noise's spectral
+    `density` (n, n) a second: from the exponential of [[-A_c, Q], [0, A_c^T]] h (Van Loan 1978).
+    """
+    state = as_square("A_c", A_c)
+    n = len(state)
+    noise = as_square("density", density, n)
+    as_positive("sampling_s", sampling_s)
+    block = np.zeros((2 * n, 2 * n))
+    block[:n, :n], block[:n, n:], block[n:, n:] = -state, noise, state.T
+    transition = np.asarray(expm(block * sampling_s), dtype=np.float64)
+    covariance = transition[n:, n:].T @ transition[:n, n:]
+    return (covariance + covariance.T) / 2.0
+
+
+def discretise_alike(
+    A_c: FloatArray, B_c: FloatArray, sampling_s: float
+) -> tuple[FloatArray, FloatArray]:
+    """Discretise as `discretise` does, many systems at once (G, n, n), (G, n, m).
+
+    By a Taylor series, halved and squared, of sums in a fixed order: the same bits on every
+    machine, which a product of a linear-algebra library does not give.
+    """
+    count, n, m = B_c.shape
+    block = np.zeros((count, n + m, n + m))
+    block[:, :n, :n], block[:, :n, n:] = A_c * sampling_s, B_c * sampling_s
+    size = float(np.abs(block).sum(axis=2).max())
+    halvings = max(0, math.ceil(math.log2(size)) + 1) if size > 0.0 else 0
+    block = block / 2.0**halvings
+    total = np.broadcast_to(np.eye(n + m), block.shape) + block
+    term = block
+    for order in range(2, 18):  # 0.5^18 / 18! is far below the last bit
+        term = _product(term, block) / order
+        total = total + term
+    for _ in range(halvings):
+        total = _product(total, total)
+    return total[:, :n, :n].copy(), total[:, :n, n:].copy()
+
+
+def _product(left: FloatArray, right: FloatArray) -> FloatArray:
+    """Return products (G, n, n) of matrices, each entry summed from first to last."""
+    total = left[:, :, 0, None] * right[:, None, 0, :]
+    for k in range(1, left.shape[2]):
+        total = total + left[:, :, k, None] * right[:, None, k, :]
+    return total

@@ -9,6 +9,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from hiersched.core.compiled import inner_kernel, kernel
+from hiersched.models.plant.estimator import FilterConstants, FilterMemory, estimate_now
 
 
 class LoopConstants(NamedTuple):
@@ -22,23 +23,26 @@ class LoopConstants(NamedTuple):
     input_gain: NDArray[np.float64]  # (T_max + 1, T_max, m, m) on past commands, the newest first
     has_memory: bool  # whether any of `input_gain` is not 0
     hold_samples: int  # for which an entry of the tables is held
+    stamp_error: int  # samples by which measurements are newer in the controller's belief
     is_local: bool  # whether the loop closes on the robot, without delay
     by_age: bool  # whether the delay is the age of the newest packet delivered
     adjusted_delay_steps: NDArray[np.uint32]  # (T_max + 1,) T, but 0 where its gain is the nominal
+    filter: FilterConstants  # of the method lqg, in place of the tables
 
 
 class LoopMemory(NamedTuple):
     """What the loops of E worlds of R robots remember."""
 
     history: NDArray[np.float64]  # (E, R, samples + 1, n) measured states of the whole run
-    commands: NDArray[np.float64]  # (E, R, T_max + 1, m) ring of applied commands
+    commands: NDArray[np.float64]  # (E, R, places, m) ring of applied commands
     control: NDArray[np.float64]  # (E, R, m) commands in force
     held: NDArray[np.int64]  # (E, R, 2) entry in force, samples for which it has to be kept
+    filter: FilterMemory
 
 
 def forget(memory: LoopMemory) -> None:
     """Bring a memory back to the start, in place."""
-    for values in memory:
+    for values in (*memory[:-1], *memory.filter):
         values[...] = 0
 
 
@@ -119,21 +123,30 @@ def close_loop(
 ) -> None:
     """Set a robot's inputs at sample k, whose measurement stands in `memory.history`.
 
-    u = -K_network x(k-T_d) - K_local x(k) - sum_i H_i u(k-1-i), cut to the limits (m,), stands in
-    `memory.control` then. A sample that met a limit is counted; the gain in force is noted.
+    u = -K_network x(k-T_d) - K_local x(k) - sum_i H_i u(k-1-i), or -K x^(k) of the filter, cut to
+    the limits (m,), stands in `memory.control` then. A sample that met a limit is counted; the
+    gain in force is noted.
     """
     history, commands = memory.history[env, robot], memory.commands[env, robot]
     control, delay_steps = memory.control[env, robot], int(slot.delay_steps[robot])
-    entry = entry_in_force(loop, delay_steps, memory.held[env, robot])
+    believed_steps = max(0, delay_steps - loop.stamp_error)
+    entry = entry_in_force(loop, believed_steps, memory.held[env, robot])
     now, past = history[sample], history[late_place(sample, delay_steps, history.shape[0])]
     saturated = 0
+    if loop.filter.is_on:
+        estimate_now(loop, memory, sample, delay_steps, env, robot)
     for i in range(limits.shape[0]):
-        command = feedback(loop, entry, i, past, now, sample, commands)
+        command = 0.0
+        if loop.filter.is_on:
+            for j in range(loop.filter.regulator.shape[1]):
+                command -= loop.filter.regulator[i, j] * memory.filter.predicted[env, robot, j]
+        else:
+            command = feedback(loop, entry, i, past, now, sample, commands)
         if abs(command) > limits[i]:
             command = limits[i] if command > 0.0 else -limits[i]
             saturated = 1
         control[i] = command
-    if loop.has_memory:
+    if loop.has_memory or loop.filter.is_on:
         for i in range(limits.shape[0]):
             commands[sample % commands.shape[0], i] = control[i]
     slot.control_saturated[robot] += saturated

@@ -19,11 +19,13 @@ from hiersched.core.parameters import Matrix, NonEmpty, NonNegative, Note, Posit
 from hiersched.core.randomness import NormalScratch, draw_normals, normal_scratch
 from hiersched.models.model import PLANT, Plant, Setup
 from hiersched.models.plant.dexterity import window_index
+from hiersched.models.plant.estimator import note_arrivals, note_estimate
 from hiersched.models.plant.feedback import LoopMemory, close_loop, forget, late_place
 from hiersched.models.seams import DRIVE
 
 if TYPE_CHECKING:
     from hiersched.control import DelayedPlant
+    from hiersched.control.lqg import FilterModel
     from hiersched.scenario.schema import Scenario
 
 
@@ -130,6 +132,21 @@ class Linear(Plant):
             sampling_s=sampling_s,
         )
 
+    def position_states(self) -> tuple[int, ...]:
+        """Return the key `error_states`."""
+        return self.error_states
+
+    def filter_model(self, scenario: Scenario) -> FilterModel:
+        """Return the plant with its noise; ValueError if a state is measured without any."""
+        from hiersched.control.lqg import FilterModel
+
+        return FilterModel(
+            A=np.array(self.A),
+            B=np.array(self.B),
+            process_covariance=np.diag(np.square(self.process_noise)),
+            measurement_variance=np.square(self.measurement_noise),
+        )
+
     def faults(self, scenario: Scenario) -> list[str]:
         """Say what is wrong with shapes, matrices and times."""
         ragged = [
@@ -229,6 +246,10 @@ def drive_linear(me: LinearWords, constants: Any, state: Any, slot: Any, env: in
     now = state.slot[env]
     for robot in range(slot.delay_steps.shape[0]):
         body = me.state[env, robot]
+        if not constants.loop.filter.all_arrive:
+            held = state.held_step[env, robot]
+            steps_per_sample = me.slots_per_sample * held.shape[0]
+            note_arrivals(me.memory.filter, held, 0, steps_per_sample, env, robot)
         if now % me.slots_per_sample == 0:
             _sample(me, constants, state, slot, now // me.slots_per_sample, env, robot)
         square = 0.0
@@ -243,6 +264,9 @@ def drive_linear(me: LinearWords, constants: Any, state: Any, slot: Any, env: in
             )
             me.window_square[env, robot] = 0.0
         slot.tracking_error_m[robot] = math.sqrt(square)
+        if constants.loop.filter.is_on:
+            values, sample = state.model_values[env], now // me.slots_per_sample
+            note_estimate(constants.loop.filter, me.memory.filter, values, sample, env, robot)
         copy(body, slot.state[robot])
         copy(me.memory.control[env, robot], slot.control[robot])
 

@@ -20,12 +20,20 @@ from hiersched.core.parameters import Note
 from hiersched.core.randomness import NormalScratch, draw_normals, normal_scratch
 from hiersched.models.model import PLANT, Plant, Setup
 from hiersched.models.plant.dexterity import MIN_SPEED_MPS, window_index
+from hiersched.models.plant.error_model import NUM_SLIP
+from hiersched.models.plant.estimator import (
+    MAX_TURN_RATE_RADPS,
+    MOTION_STEP_RADPS,
+    note_arrivals,
+    note_estimate,
+)
 from hiersched.models.plant.feedback import LoopConstants, LoopMemory, close_loop, forget
 from hiersched.models.plant.operator import OperatorWords, draw_references, operator_words
 from hiersched.models.seams import DRIVE
 
 if TYPE_CHECKING:
     from hiersched.control import DelayedPlant
+    from hiersched.control.lqg import FilterModel
     from hiersched.scenario.schema import Scenario
 
 NUM_STATES = 5
@@ -86,6 +94,14 @@ class UnicycleWords(NamedTuple):
             self.lanes[:, block, STATE + lane : SLIP + lane : LANES] = value[:, robot]
 
 
+LEAST_NOISE = 1e-4
+"""Standard deviation [m, rad] of the pose in which a filter believes at least: it cannot weigh
+measurements without error."""
+ACTUATOR_NOISE = 1e-3
+"""Likewise of both actuators' states [m/s, rad/s], which are measured without noise."""
+POSE_DRIFT, ACTUATOR_DRIFT = 1e-4, 1e-5
+"""Standard deviations that a filter adds to each state every sample: they keep it awake."""
+
 POSE_STATES = (0, 1, 2)
 """What the operator of a split plant feeds back: the pose that the video shows."""
 
@@ -102,6 +118,7 @@ class Unicycle(Plant):
 
     has_pose: ClassVar[bool] = True
     chooses_loop: ClassVar[bool] = True
+    num_disturbances: ClassVar[int] = NUM_SLIP
 
     def sizes(self, scenario: Scenario) -> tuple[int, int, int]:
         """Return five states, two inputs, and five normals: two of slip, three of measurement."""
@@ -115,7 +132,8 @@ class Unicycle(Plant):
 
         robot, control = scenario.robot, scenario.control
         A, B = discretise(
-            *unicycle_error_model(robot.speed_mps, 0.0, robot.actuator_lag_s), control.sampling_s
+            *unicycle_error_model(robot.speed_mps, 0.0, scenario.believed("actuator_lag_s")),
+            control.sampling_s,
         )
         Q, R = tracking_weights(control.weight, control.sampling_s)
         if control.loop != "split":
@@ -129,6 +147,54 @@ class Unicycle(Plant):
             operator_states=POSE_STATES,
             sampling_s=control.sampling_s,
         )
+
+    def filter_model(self, scenario: Scenario) -> FilterModel:
+        """Return the robot on a straight line, its slip and what disturbs it, as believed."""
+        from hiersched.control.lqg import FilterModel
+        from hiersched.models.plant.error_model import (
+            discretise,
+            discretise_noise,
+            slipping_error_model,
+        )
+
+        robot, sampling_s = scenario.robot, scenario.control.sampling_s
+        slip_time_s = scenario.believed("slip_time_s")
+        A_c, B_c = slipping_error_model(
+            robot.speed_mps, 0.0, scenario.believed("actuator_lag_s"), slip_time_s
+        )
+        A, B = discretise(A_c, B_c, sampling_s)
+        density = np.zeros(A.shape)
+        for state, name in ((-2, "slip_speed_mps"), (-1, "slip_turn_rate_radps")):
+            density[state, state] = 2.0 * scenario.believed(name) ** 2 / slip_time_s
+        drift = np.array([POSE_DRIFT] * 3 + [ACTUATOR_DRIFT] * 2 + [0.0] * NUM_SLIP)
+        noise = [robot.noise_position_m, robot.noise_position_m, robot.noise_heading_rad]
+        return FilterModel(
+            A=A,
+            B=B,
+            process_covariance=discretise_noise(A_c, density, sampling_s) + np.diag(drift**2),
+            measurement_variance=np.square(
+                [*np.maximum(noise, LEAST_NOISE), ACTUATOR_NOISE, ACTUATOR_NOISE]
+            ),
+        )
+
+    def motion_models(
+        self, scenario: Scenario
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """As in `Plant`: the speed enters linearly, since the heading does not depend on it."""
+        from hiersched.models.plant.error_model import discretise_alike, slipping_error_model
+
+        count = round(MAX_TURN_RATE_RADPS / MOTION_STEP_RADPS)
+        lag_s, slip_time_s = scenario.believed("actuator_lag_s"), scenario.believed("slip_time_s")
+        of_speed = []
+        for speed_mps in (0.0, 1.0):
+            models = [
+                slipping_error_model(speed_mps, number * MOTION_STEP_RADPS, lag_s, slip_time_s)
+                for number in range(-count, count + 1)
+            ]
+            A_c, B_c = (np.stack(matrices) for matrices in zip(*models, strict=True))
+            of_speed.append(discretise_alike(A_c, B_c, scenario.control.sampling_s))
+        (A, B), (A_moving, B_moving) = of_speed
+        return A, A_moving - A, B, B_moving - B
 
     def words(self, setup: Setup) -> UnicycleWords:
         """As in `Model`."""
@@ -181,6 +247,7 @@ class Unicycle(Plant):
 def _start_slot(
     me: UnicycleWords,
     lanes: NDArray[np.float64],
+    loop: LoopConstants,
     state: Any,
     slot: Any,
     env: int,
@@ -193,6 +260,9 @@ def _start_slot(
     """
     path, first = me.operator.path, state.slot[env] * me.steps_per_slot
     for robot in range(begin, end):
+        if not loop.filter.all_arrive:
+            held, phase = state.held_step[env, robot], me.phase[robot] if me.is_spread else 0
+            note_arrivals(me.memory.filter, held, phase, me.steps_per_sample, env, robot)
         lane = robot - begin
         for j in range(5):
             lanes[NORMALS + j * LANES + lane] = np.float64(slot.robot_normal[robot, j])
@@ -282,10 +352,15 @@ def _sample(
     now[0] += me.noise_position_m * lanes[NORMALS + 2 * LANES + lane]
     now[1] += me.noise_position_m * lanes[NORMALS + 3 * LANES + lane]
     now[2] += me.noise_heading_rad * lanes[NORMALS + 4 * LANES + lane]
+    place = me.operator.offset[env, robot] + step
+    reference = place
     if me.set_point != PRESENT:
-        start = me.operator.offset[env, robot]
-        held = state.held_step[env, robot, step % me.steps_per_slot]
-        _relate(me, now, start + step, start + held)
+        reference -= step - state.held_step[env, robot, step % me.steps_per_slot]
+        _relate(me, now, place, reference)
+    if loop.filter.is_known:
+        middle = min(reference + me.steps_per_sample // 2, me.operator.path.shape[0] - 1)
+        me.memory.filter.motion[env, robot, sample, 0] = me.operator.path[middle, 4]
+        me.memory.filter.motion[env, robot, sample, 1] = me.operator.path[middle, 0]
     close_loop(me.memory, me.input_limits, loop, state, slot, sample, env, robot)
     for i in range(NUM_INPUTS):
         lanes[CONTROL + i * LANES + lane] = me.memory.control[env, robot, i]
@@ -353,9 +428,29 @@ def _end_window(me: UnicycleWords, lanes: NDArray[np.float64], index: NDArray[np
         lanes[place] = 0.0
 
 
+@inner_kernel()
+def _record_estimate(
+    me: UnicycleWords, loop: LoopConstants, state: Any, env: int, robot: int
+) -> None:
+    """Note the estimate of a robot's last control sample, once it has had one."""
+    since_first = (state.slot[env] + 1) * me.steps_per_slot - 1
+    if me.is_spread:
+        since_first -= me.phase[robot]
+    if since_first >= 0:
+        sample = since_first // me.steps_per_sample
+        values = state.model_values[env]
+        note_estimate(loop.filter, me.memory.filter, values, sample, env, robot)
+
+
 @inner_kernel(forceinline=True)
 def _record_robot(
-    me: UnicycleWords, lanes: NDArray[np.float64], state: Any, slot: Any, env: int, robot: int
+    me: UnicycleWords,
+    lanes: NDArray[np.float64],
+    loop: LoopConstants,
+    state: Any,
+    slot: Any,
+    env: int,
+    robot: int,
 ) -> None:
     """Note where one robot stands after the slot's last step."""
     operator, start = me.operator, me.operator.offset[env, robot]
@@ -378,6 +473,8 @@ def _record_robot(
         slot.set_point[robot, 2] = heading
     for i in range(NUM_INPUTS):
         slot.control[robot, i] = me.memory.control[env, robot, i]
+    if loop.filter.is_on:
+        _record_estimate(me, loop, state, env, robot)
 
 
 @inner_kernel()
@@ -433,7 +530,7 @@ def drive_unicycles(me: UnicycleWords, constants: Any, state: Any, slot: Any, en
     for block in range(me.lanes.shape[1]):
         lanes, begin = me.lanes[env, block], block * LANES
         end = min(begin + LANES, slot.delay_steps.shape[0])
-        _start_slot(me, lanes, state, slot, env, begin, end)
+        _start_slot(me, lanes, constants.loop, state, slot, env, begin, end)
         for step in range(first, first + me.steps_per_slot):
             if me.is_spread:
                 for robot in range(begin, end):
@@ -447,5 +544,5 @@ def drive_unicycles(me: UnicycleWords, constants: Any, state: Any, slot: Any, en
             if (step + 1) % me.steps_per_window == 0:
                 _end_window(me, lanes, state.dexterity_index[env, begin:])
         for robot in range(begin, end):
-            _record_robot(me, lanes, state, slot, env, robot)
+            _record_robot(me, lanes, constants.loop, state, slot, env, robot)
             _report_task(me, lanes, constants, state, slot, env, robot)
