@@ -25,13 +25,15 @@ print(sum(entry_in_force.stats.cache_hits.values()))
 """
 OURS = """
 import numpy as np
+from hiersched.models.plant.command_link import NO_LINK
 from hiersched.models.plant.estimator import no_filter
 from hiersched.models.plant.feedback import LoopConstants, entry_in_force
 
 rows = [np.zeros((2, 1, 1))] * 2
 tables = *rows, np.zeros((2, 1, 1, 1))
 steps = np.zeros(2, np.uint32)
-loop = LoopConstants(0.1, 0.0, 1, *tables, False, 0, 0, False, False, steps, no_filter(1))
+rest = steps, no_filter(1), NO_LINK
+loop = LoopConstants(0.1, 0.0, 1, *tables, False, 0, 0, False, False, *rest)
 assert entry_in_force(loop, 5, np.zeros(2, np.int64)) == 1
 print(sum(entry_in_force.stats.cache_hits.values()))
 """

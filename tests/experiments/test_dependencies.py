@@ -175,6 +175,13 @@ def test_the_gain_study_reads_what_it_declares(
     assert undeclared(set(reads), run_values(tiny, name, "gains")) == set()
 
 
+BELIEFS = {
+    f"control.believed_{name}"
+    for name in ("lag_s", "slip_speed_mps", "slip_turn_rate_radps", "slip_time_s")
+}
+"""What a design reads in place of the robot's own keys, under whose names it is declared."""
+
+
 def test_stability_reads_what_it_declares(
     tiny: Scenario, results: Path, reads: set[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -182,7 +189,10 @@ def test_stability_reads_what_it_declares(
     stability.write_stability(tiny, results)
     assert undeclared(set(reads), dependencies.stability_values(tiny)) == {
         # Of the loop, which does not run.
-        *("control.gain", "control.hold_samples", "control.delay", "control.sample_phases")
+        *("control.gain", "control.hold_samples", "control.delay", "control.sample_phases"),
+        *("control.link", "control.playout_s", "control.packet_samples", "control.command_hold_s"),
+        *("control.known_motion", "control.stamp_error_samples"),
+        *BELIEFS,
     }
 
 
@@ -192,7 +202,10 @@ def test_gain_design_reads_what_it_declares(
     monkeypatch.setattr(gains_stage, "load_or_build", lambda *_, **__: None)
     gains_stage.design_gains(tiny, "schedule", results / "x.json")
     assert "control.weight" in reads
-    assert undeclared(set(reads), dependencies.gains_values(tiny, "schedule")) == set()
+    left = undeclared(set(reads), dependencies.gains_values(tiny, "schedule"))
+    assert left == {"control.believed_lag_s"}
+    believed = replace(tiny, control=replace(tiny.control, believed_lag_s=0.2))
+    assert dependencies.gains_values(believed, "schedule")["robot.actuator_lag_s"] == 0.2
 
 
 def test_training_reads_what_it_declares(tiny: Scenario, results: Path, reads: set[str]) -> None:

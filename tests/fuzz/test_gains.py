@@ -23,8 +23,8 @@ from hiersched.scenario import Scenario, load_scenario
 from hiersched.simulator.gain_source import design_schedule, read_gains, scenario_schedule
 from hiersched.study import study
 
-METHODS = ("krasovskii", "razumikhin", "predictor", "latency_compensated", "h2")
-LATER = [pytest.param(method, marks=pytest.mark.nightly) for method in METHODS[3:]]
+METHODS = ("krasovskii", "razumikhin", "predictor", "lqg", "latency_compensated", "h2")
+LATER = [pytest.param(method, marks=pytest.mark.nightly) for method in METHODS[4:]]
 Document = dict[str, Any]
 
 
@@ -114,7 +114,7 @@ CHANGES: dict[str, Callable[[Document], None]] = {
 
 
 @pytest.mark.parametrize("change", CHANGES)
-@pytest.mark.parametrize("method", [*METHODS[:3], *LATER])
+@pytest.mark.parametrize("method", [*METHODS[:4], *LATER])
 def test_other_gains_are_refused_though_the_checksum_is_right(
     tmp_path: Path, method: str, change: str
 ) -> None:
@@ -129,6 +129,25 @@ def test_other_gains_are_refused_though_the_checksum_is_right(
         pytest.skip("two gains are the same")
     path.write_text(seal_json(document))
     with pytest.raises(ValueError, match=r"schedule\.json: not the gains of scenario smoke: "):
+        read_gains(path, scenario)
+
+
+@pytest.mark.parametrize("name", ["regulator", "filter_gain", "covariance", "model"])
+@pytest.mark.parametrize("factor", [1.01, -1.0])
+def test_another_filter_is_refused_though_the_checksum_is_right(
+    tmp_path: Path, name: str, factor: float
+) -> None:
+    scenario, text = designed("lqg")
+    path = tmp_path / "schedule.json"
+    document = unseal_json(text.encode())
+    place, key = (document["lqg"], name) if name != "model" else (document["lqg"]["model"], "A")
+    place[key] = scaled(place[key], factor)
+    path.write_text(seal_json(document))
+    with pytest.raises(ValueError, match=r"schedule\.json: not the gains of scenario smoke: "):
+        read_gains(path, scenario)
+    del document["lqg"]
+    path.write_text(seal_json(document))
+    with pytest.raises(ValueError, match="lqg is there, or not, against the method 'lqg'"):
         read_gains(path, scenario)
 
 

@@ -15,6 +15,7 @@ from hiersched.control import hold_delays
 from hiersched.core.compiled import kernel
 from hiersched.core.pointer import Pointer
 from hiersched.core.randomness import normal_scratch
+from hiersched.models.plant.command_link import NO_LINK, link_memory
 from hiersched.models.plant.error_model import discretise, unicycle_error_model
 from hiersched.models.plant.estimator import filter_memory, no_filter
 from hiersched.models.plant.feedback import LoopConstants, LoopMemory, entry_in_force
@@ -78,6 +79,7 @@ def constants(reference="straight", *, step_s=0.0025, speed_mps=1.0, noise=0.0, 
             history=np.zeros((1, 1, 201, 5)), commands=np.zeros((1, 1, max_delay + 1, 2)),
             control=np.zeros((1, 1, 2)), held=np.zeros((1, 1, 2), np.int64),
             filter=filter_memory((1, 1), 200, 0, 2, is_known=False),
+            link=link_memory((1, 1), 200, 2, 0, 0),
         ),
         normals=normal_scratch(1, 5),
         gathered=np.zeros(4 * NUM_PATH * LANES),
@@ -89,6 +91,7 @@ def constants(reference="straight", *, step_s=0.0025, speed_mps=1.0, noise=0.0, 
         input_gain=np.zeros((max_delay + 1, max_delay, 2, 2)) if inputs is None else inputs,
         hold_samples=0, stamp_error=0, is_local=False, by_age=False,
         adjusted_delay_steps=np.zeros(max_delay + 1, np.uint32), filter=no_filter(2),
+        link=NO_LINK,
     )  # fmt: skip
     return words, loop
 

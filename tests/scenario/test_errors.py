@@ -112,7 +112,32 @@ from hiersched.scenario import ScenarioError, find_scenario, load_scenario
                 f"control: {{method: {method}, loop: split}}",
                 [f"control.method = '{method}'", "loop = 'network'"],
             )
-            for method in ("predictor", "latency_compensated", "h2")
+            for method in ("predictor", "latency_compensated", "h2", "lqg")
+        ),
+        (
+            "control: {method: lqg, hold_samples: 4}",
+            ["control.hold_samples = 4: must be 0 with control.method = 'lqg'"],
+        ),
+        ("control: {link: playout}", ["control.link = 'playout': needs control.method = 'lqg'"]),
+        (
+            "control: {method: lqg, link: playout, delay: age}\nrobot: {superseding: batch}",
+            ["robot.superseding = 'batch': must be none with control.link = 'playout'"],
+        ),
+        (
+            "control: {method: lqg}\nrobot: {superseding: batch}",
+            ["control.delay = 'sojourn': must be 'age' with control.method = 'lqg'"],
+        ),
+        (
+            "gain_study: {cells: {far: {delay_s: 0.1, values: {radio.num_prb: 30}}}}",
+            ["gain_study.cells.far.values.radio.num_prb: must be a key of robot, control"],
+        ),
+        (
+            "gain_study: {cells: {far: {delays: 0.1}}}",
+            ["gain_study.cells.far.delays", "did you mean delay_s"],
+        ),
+        (
+            "gain_study: {cell_methods: [h2, h2]}",
+            ["cell_methods = ['h2', 'h2']", "method once"],
         ),
         ("learning: {episodes: 3}", ["learning.num_envs = 16", "learning.episodes = 3"]),
         ("learning: {batch_size: 99999}", ["batch_size = 99999", "replay_capacity = 16000"]),

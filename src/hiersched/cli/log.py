@@ -94,7 +94,7 @@ def _info(parsed: argparse.Namespace) -> int:
     with LogReader(parsed.log) as log:
         size = log.path.stat().st_size
         print(f"{parsed.log}: complete, every checksum is right ({size:,} bytes)")
-        for line in [*_origin(log), *_contents(log), *_statistics(log)]:
+        for line in [*_origin(log), *_contents(log), *_statistics(log), *_growth(log)]:
             print(line.replace("\n", "\\n"))  # of metadata: it must not look like a line of ours
     return 0
 
@@ -151,6 +151,43 @@ def _statistics(log: LogReader) -> list[str]:
     return ["", f"mean over all slots{among}"] + [
         f"  {name:<22}{float(values[0]):>14.6g} {unit}".rstrip()
         for name, unit, values in batch_means(log, log.num_slots, 1)
+    ]
+
+
+def _growth(log: LogReader) -> list[str]:
+    """Say whether the second moment of the loop shrinks over the delays that the log has.
+
+    The scenario of a log that names plug-ins is not loaded: to look at a log runs nobody's code.
+    """
+    from yaml import YAMLError
+
+    from hiersched.control import GainSchedule
+    from hiersched.scenario import load_resolved
+    from hiersched.scenario.strict_yaml import parse_yaml
+    from hiersched.simulator.loop_growth import worst_robot
+
+    kept = log.attachments
+    if not {"scenario.yaml", "schedule.json"} <= set(kept) or not log.num_slots:
+        return []
+    if "delay_steps" not in log.known_fields("/robots"):
+        return []
+    text = kept["scenario.yaml"].decode()
+    try:
+        if parse_yaml(text)["plugins"]:
+            return []
+        scenario, _, _ = load_resolved(text, Path("scenario.yaml"))
+        schedule = GainSchedule.from_json(kept["schedule.json"].decode(), vouched=True)
+        delays = log.read("/robots", ["delay_steps"])["delay_steps"]
+        robot, growth = worst_robot(scenario, schedule, delays, log.slot_ns * 1e-9)
+    except (ValueError, LookupError, TypeError, YAMLError):  # none over the network, or another's
+        return []
+    word = "shrinks" if growth.in_force < 1.0 else "GROWS"
+    return [
+        "",
+        f"second moment of the loop over its delays, robot {robot} the worst: {word} by "
+        f"{growth.in_force:.4f} a sample",
+        f"  with the nominal gain by {growth.nominal:.4f}; with the gains at once by "
+        f"{growth.followed:.4f}",
     ]
 
 

@@ -39,6 +39,13 @@ if TYPE_CHECKING:
         analyse_delay_razumikhin,
         analyse_razumikhin,
     )
+    from hiersched.control.second_moments import (
+        Chain,
+        chain_of_counts,
+        count_transitions,
+        second_moment_growth,
+        simulate_chain,
+    )
     from hiersched.control.switching import Switch, SwitchingReport, switching_report
 
 __all__ = [
@@ -76,6 +83,11 @@ __all__ = [
     "GainSchedule",
     "build_schedule",
     "load_or_build",
+    "Chain",
+    "chain_of_counts",
+    "count_transitions",
+    "second_moment_growth",
+    "simulate_chain",
     "hold_step",
     "hold_delays",
     "Switch",
@@ -83,12 +95,12 @@ __all__ = [
     "switching_report",
 ]
 
-_SOLVING = ("krasovskii", "razumikhin", "design", "switching")
+_LATER = ("krasovskii", "razumikhin", "design", "switching", "second_moments")
 
 
 def __getattr__(name: str) -> Any:
-    """Load the names that need cvxpy on first use."""
-    for module in _SOLVING if name in __all__ else ():
+    """Load on first use what needs cvxpy, or takes long to import."""
+    for module in _LATER if name in __all__ else ():
         try:
             found = getattr(import_module(f"hiersched.control.{module}"), name, None)
         except ModuleNotFoundError as error:

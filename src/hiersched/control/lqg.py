@@ -118,6 +118,11 @@ class Lqg:
         X = solve_discrete_lyapunov(model.A - model.B @ self.regulator, spread)
         return symmetrised(X + self.prediction_covariance(steps))
 
+    @property
+    def growth(self) -> float:
+        """Return the factor a sample by which the second moment shrinks, for any known ages."""
+        return float(1.0 - min(self.certificate(0).margins.values())) ** 2
+
     def certificate(self, max_delay_steps: SupportsIndex) -> Certificate:
         """Return what separation proves for every sequence of known ages 0..T.
 

@@ -27,17 +27,25 @@ def designs(scenario: Scenario) -> dict[str, Scenario]:
         for point in experiment.points:
             values = design_values(point.scenario)
             if values not in found:
-                found[values] = (f"schedule_{_difference(own, values)}", point.scenario)
+                name = f"schedule_{_difference(own, values)}"
+                if name in {taken for taken, _ in found.values()}:
+                    name = f"schedule_{_digest(values)}"
+                found[values] = (name, point.scenario)
     return dict(found.values())
 
 
 def _difference(own: dict[str, Any], values: str) -> str:
+    """Name a design by what differs of what both depend on."""
     text = "_".join(
         f"{key.rpartition('.')[2]}_{value_text(value)}"
         for key, value in json.loads(values).items()
-        if own.get(key) != value
+        if key in own and own[key] != value
     )
-    return text if len(text) <= 60 else hashlib.sha256(values.encode()).hexdigest()[:12]
+    return text if 0 < len(text) <= 60 else _digest(values)
+
+
+def _digest(values: str) -> str:
+    return hashlib.sha256(values.encode()).hexdigest()[:12]
 
 
 def design_of(scenario: Scenario, variant: Scenario) -> str:

@@ -21,7 +21,7 @@ from hiersched.core.randomness import STREAM_DELAY, draw_uniforms
 from hiersched.policies.registry import Rule
 from hiersched.scenario import Scenario, ScenarioError, with_values
 from hiersched.scenario.consistency import inconsistencies
-from hiersched.scenario.schema import Family, GainMethod, Users, Worlds, hold_of
+from hiersched.scenario.schema import Family, GainMethod, Users, Worlds, delay_steps, hold_of
 
 Gain = Literal["nominal", "adjusted"]
 Cell: TypeAlias = tuple[int, int, int]
@@ -50,6 +50,8 @@ GAINS: tuple[Gain, ...] = ("nominal", "adjusted")
 BASELINE = "pf"
 CLASSICAL_GROUP = "classical"
 """Policies that need no training share a job; each learner's have one of their own."""
+LOOP_CELLS = "gain_cells"
+"""Experiment of the cells of the gain study."""
 GAIN_GROUP = "gains"
 """The loops of the gain study share a job."""
 MOST_POINTS = 1000
@@ -60,16 +62,24 @@ MAX_NAME = 120
 
 @dataclass(frozen=True, kw_only=True)
 class ForcedDelays:
-    """Network delays that are drawn instead of measured: uniform per slot and robot."""
+    """Network delays that are drawn instead of measured: uniform per slot and robot.
+
+    As a ``sawtooth`` they are the same at all slots of a control sample, and grow from one sample
+    by one a sample, as the age of what waits in a queue does, to the greatest of `violation_s` and
+    back at once, each robot at a place of its own; ends count twice.
+    """
 
     windows: tuple[int, ...]  # of violated delay, 1 = the first
     violation_s: tuple[float, float]  # bounds of the delays in these windows [s]
     calm_s: tuple[float, float]  # and elsewhere [s]
+    form: Literal["uniform", "sawtooth"] = "uniform"
 
     def draw(
         self, scenario: Scenario, keys: NDArray[np.uint64], num_slots: int
     ) -> NDArray[np.float64]:
         """Draw the delays [s], shape (E, T, R); they depend on the worlds alone."""
+        if self.form == "sawtooth":
+            return self._sawtooth(scenario, keys, num_slots)
         per_window = round(scenario.robot.window_s / scenario.radio.slot_s)
         violated = np.isin(np.arange(num_slots) // per_window + 1, self.windows)
         low = np.where(violated, self.violation_s[0], self.calm_s[0])
@@ -80,18 +90,37 @@ class ForcedDelays:
                 draw_uniforms(key, STREAM_DELAY, slot, 0, uniform[env, slot])
         return low[:, None] + (high - low)[:, None] * uniform
 
+    def _sawtooth(
+        self, scenario: Scenario, keys: NDArray[np.uint64], num_slots: int
+    ) -> NDArray[np.float64]:
+        sampling_s = scenario.control.sampling_s
+        longest = max(1, delay_steps(self.violation_s[1], sampling_s))
+        steps = np.array([1, *range(1, longest + 1), longest])
+        slots = np.arange(num_slots) * scenario.radio.slot_s / sampling_s
+        sample = np.floor(slots + 1e-9).astype(np.int64)
+        place = np.empty((len(keys), scenario.users.num_urllc))
+        for env, key in enumerate(keys):
+            draw_uniforms(key, STREAM_DELAY, 0, 1, place[env])
+        start = np.floor(place * len(steps)).astype(np.int64)
+        found = steps[(sample[None, :, None] + start[:, None]) % len(steps)]
+        return np.asarray(found * sampling_s, np.float64)
+
     def to_json(self) -> str:
-        """Write them for the metadata of a log."""
-        return json.dumps(vars(self))
+        """Write them for the metadata of a log; ``uniform`` goes without saying."""
+        return json.dumps({k: v for k, v in vars(self).items() if v != "uniform"})
 
     @staticmethod
     def from_json(text: str) -> ForcedDelays:
         """Read them; ValueError if they are none."""
         try:
-            read = ForcedDelays(**{name: tuple(v) for name, v in json.loads(text).items()})
+            values = json.loads(text)
+            form = values.pop("form", "uniform")
+            read = ForcedDelays(**{name: tuple(v) for name, v in values.items()}, form=form)
             windows, bounds = set(map(type, read.windows)), (read.violation_s, read.calm_s)
             if windows - {int} or any(not 0.0 <= low <= high < 1e6 for low, high in bounds):
                 raise ValueError("numbers out of range")
+            if form not in ("uniform", "sawtooth"):
+                raise ValueError(f"form = {form!r}")
         except (TypeError, ValueError, AttributeError) as error:
             raise ValueError(f"delays = {text:.100}: no forced delays: {error}") from error
         return read
@@ -181,6 +210,7 @@ def experiments(scenario: Scenario) -> dict[str, Experiment]:
             partial(_forced, scenario, "gain_grid", "grid", _grid_points),
             partial(_forced, scenario, "gain_sampling_s", "sampling_s", _sampling_points),
             partial(_forced, scenario, "gain_noise", "noise", _noise_points),
+            partial(_forced, scenario, LOOP_CELLS, "cell", _loop_points),
         ]
     faults: list[str] = []
     found = []
@@ -409,6 +439,8 @@ def _forced(
 ) -> Experiment:
     study = scenario.gain_study
     windows = study.sweep_windows if axis else study.num_windows
+    if name == LOOP_CELLS:
+        windows = study.cell_windows
     return Experiment(
         name=name,
         stage="gain_study",
@@ -503,6 +535,32 @@ def _noise_points(scenario: Scenario) -> Iterator[Point]:
         robot = replace(scenario.robot, noise_position_m=position, noise_heading_rad=heading)
         name = f"{value_text(position)}_{value_text(heading)}"
         yield _sweep_point(replace(scenario, robot=robot), name)
+
+
+def _loop_points(scenario: Scenario) -> Iterator[Point]:
+    """Yield a point a cell and method; the nominal gain runs with the first on its plant."""
+    study = scenario.gain_study
+    for name, cell in study.cells.items():
+        violation_s = cell.delay_s, cell.delay_s
+        delays = ForcedDelays(
+            windows=tuple(range(1, study.cell_windows + 1)),
+            violation_s=violation_s,
+            calm_s=violation_s,
+            form="sawtooth" if cell.sawtooth else "uniform",
+        )
+        plants: set[str] = set()
+        for method in study.cell_methods if cell.methods is None else cell.methods:
+            where = f"gain_study.cells.{name}.values"
+            base = replace(scenario, gain_study=replace(study, cells={}))
+            variant = with_values(_method_scenario(base, method), cell.values, where)
+            first = STUDY_PLANTS[method] not in plants
+            plants.add(STUDY_PLANTS[method])
+            yield Point(
+                value=f"{name}_{method}",
+                scenario=robots_alone(variant, study.sweep_robots, f"gain_study.cells.{name}"),
+                policies=GAINS if first else ("adjusted",),
+                delays=delays,
+            )
 
 
 def robots_alone(scenario: Scenario, num_robots: int, what: str) -> Scenario:

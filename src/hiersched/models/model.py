@@ -24,6 +24,7 @@ from pydantic import ConfigDict
 from hiersched.core.fields import ModelField
 from hiersched.core.parameters import STRICT, Note
 from hiersched.core.registry import PluginError, Registry
+from hiersched.models.plant.command_link import LINK_FIELDS, link_memory
 from hiersched.models.plant.estimator import estimate_fields, filter_memory
 from hiersched.models.plant.feedback import LoopMemory
 
@@ -56,6 +57,7 @@ class Setup:
             filter=filter_memory(
                 of_robot, samples, size, m, is_known=scenario.control.known_motion
             ),
+            link=link_memory(of_robot, samples, m, scenario.playout_steps, scenario.packet_horizon),
         )
 
     def first_value(self, model: Model, name: str) -> int:
@@ -284,6 +286,7 @@ def model_fields(scenario: Scenario) -> tuple[ModelField, ...]:
         own = dict(model.log_fields)
         if isinstance(model, Plant) and scenario.filter_size:
             own |= estimate_fields(scenario.robot_sizes[0])
+            own |= LINK_FIELDS if scenario.control.link != "measurements" else {}
         for name, unit in own.items():
             if count:
                 found.append(ModelField(f"{key}/{name}", unit, start, count))

@@ -41,6 +41,7 @@ TASK_SECTIONS = tuple(section for section in SWEPT_SECTIONS if section != "polic
 """Those of which a cell of the study of the task sets keys: its policies are its families."""
 RESERVED_AXES = (
     *("evaluate", "generalise", "gain_study", "gain_grid", "gain_sampling_s", "gain_noise"),
+    "gain_cells",
     *(
         "cell",
         "tune",
@@ -59,6 +60,8 @@ RESERVED_LEARNERS = ("classical", "gains")
 """Names of jobs of policies that are not trained."""
 NETWORK_METHODS = ("predictor", "latency_compensated", "h2", "lqg")
 """Gain methods for plants whose whole feedback crosses the network."""
+LOOP_SECTIONS = ("robot", "control")
+"""Sections whose keys the cells of the gain study vary."""
 PREDICTING = ("predictor", "lqg")
 """Of them those that predict over the delay."""
 
@@ -274,7 +277,35 @@ def _control(scenario: Scenario) -> list[str]:
             f"control.method = {control.method!r}: needs control.loop = 'network' (it replaces "
             "the whole feedback by one made for the delay), or a linear plant without A_d",
         ),
-    )[:1]
+        (
+            control.known_motion and not scenario.plant.has_pose,
+            "control.known_motion = true: needs a plant with a reference, not "
+            f"{scenario.plant.model!r}",
+        ),
+        (
+            control.link != "measurements" and control.method != "lqg",
+            f"control.link = {control.link!r}: needs control.method = 'lqg' (commands for a time "
+            "to come need a prediction)",
+        ),
+        (
+            scenario.robot.superseding != "none" and scenario.playout_steps > 0,
+            f"robot.superseding = {scenario.robot.superseding!r}: must be none with control.link = "
+            "'playout' (every command has a sample of its own)",
+        ),
+    )[:1] or _filter(scenario)
+
+
+def _filter(scenario: Scenario) -> list[str]:
+    """Say why a plant has no filter where its method needs one."""
+    if scenario.control.method != "lqg":
+        return []
+    from hiersched.control import design_lqg
+
+    try:
+        design_lqg(scenario.plant.design(scenario), scenario.plant.filter_model(scenario))
+    except ValueError as error:
+        return [f"control.method = 'lqg': {error}"]
+    return []
 
 
 def _asked(key: str, ask: Callable[[Scenario], list[str]], scenario: Scenario) -> list[str]:
@@ -517,6 +548,16 @@ def _gain_study(scenario: Scenario) -> list[str]:
             f"{noise}: every pair with gain_study.noise_heading_rad = {list(heading)} once",
         ),
     )
+    for name, cell in study.cells.items():
+        place = f"gain_study.cells.{name}"
+        if cell.methods is not None:
+            faults += _once(f"{place}.methods", cell.methods, "method")
+        faults += [
+            f"{place}.values.{key}: must be a key of {', '.join(LOOP_SECTIONS)}"
+            for key in cell.values
+            if key.partition(".")[0] not in LOOP_SECTIONS or key == "robot.reference_file"
+        ]
+    faults += _once("gain_study.cell_methods", study.cell_methods, "method")
     for key in ("violation_delay_s", "calm_delay_s"):
         low, high = getattr(study, key)
         if low > high:

@@ -17,7 +17,7 @@ from hiersched.core.faults import InputError
 from hiersched.models.model import SECTIONS, Section
 from hiersched.policies.registry import RULES
 from hiersched.scenario.old_keys import new_key
-from hiersched.scenario.schema import Axis, Family, Scenario, TaskCell
+from hiersched.scenario.schema import Axis, Family, LoopCell, Scenario, TaskCell
 
 Location = tuple[str | int, ...]
 
@@ -126,6 +126,8 @@ def allowed_keys(location: Location, merged: Mapping[str, Any]) -> list[str]:
         return [field.name for field in fields(Axis)]
     if location[:2] == ("task_study", "cells"):
         return [field.name for field in fields(TaskCell)]
+    if location[:2] == ("gain_study", "cells"):
+        return [field.name for field in fields(LoopCell)]
     if location[:2] == ("task_study", "families"):
         if location[3:] == ("policy",):
             return _model_keys(RULES, _value_at(merged, location))

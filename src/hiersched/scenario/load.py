@@ -167,16 +167,18 @@ def _with_axes(overlay: dict[str, Any], *, whole: bool = False) -> dict[str, Any
 
 
 def _without_none(merged: dict[str, Any]) -> dict[str, Any]:
-    """Leave out the families and cells of the study of the task that are null."""
-    study = merged.get("task_study")
-    if not isinstance(study, dict):
-        return merged  # validation says what is wrong
-    kept = {
-        name: {key: value for key, value in study[name].items() if value is not None}
-        for name in ("families", "cells")
-        if isinstance(study.get(name), dict)
-    }
-    return {**merged, "task_study": {**study, **kept}}
+    """Leave out the families and cells of studies that are null."""
+    for place in ("task_study", "gain_study"):
+        study = merged.get(place)
+        if not isinstance(study, dict):
+            continue  # validation says what is wrong
+        kept = {
+            name: {key: value for key, value in study[name].items() if value is not None}
+            for name in ("families", "cells")
+            if isinstance(study.get(name), dict)
+        }
+        merged = {**merged, place: {**study, **kept}}
+    return merged
 
 
 def _with_learners(merged: dict[str, Any]) -> dict[str, Any]:

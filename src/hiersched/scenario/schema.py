@@ -163,6 +163,10 @@ class Control(_Strict):
     decay_rate: Annotated[float, Field(ge=0, lt=1)]
     gain: Literal["adjusted", "nominal"]
     hold_samples: Annotated[int, Field(ge=0)]
+    link: Literal["measurements", "playout", "packetised"]
+    playout_s: Positive
+    packet_samples: Count
+    command_hold_s: NonNegative
     known_motion: bool
     stamp_error_samples: Annotated[int, Field(ge=-1000, le=1000)]
     believed_lag_s: Positive | None
@@ -309,6 +313,16 @@ class TaskStudy(_Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
+class LoopCell(_Strict):
+    """Values of dotted keys under a delay that is constant, or that grows to it again and again."""
+
+    values: Mapping[str, Any] = field(default_factory=dict, hash=False)
+    delay_s: Positive
+    sawtooth: bool = False
+    methods: Annotated[tuple[GainMethod, ...], NonEmpty] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
 class GainStudy(_Strict):
     """Forced delays, nominal against adjusted gain: Table II and the sweeps around it."""
 
@@ -326,6 +340,9 @@ class GainStudy(_Strict):
     sampling_s: tuple[Positive, ...]
     noise_position_m: tuple[NonNegative, ...]
     noise_heading_rad: tuple[NonNegative, ...]
+    cells: Mapping[CellName, LoopCell] = field(hash=False)
+    cell_methods: tuple[GainMethod, ...]
+    cell_windows: Annotated[int, Field(ge=2)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -386,6 +403,25 @@ class Scenario(_Strict):
         """Return what the controller believes of a key of the robot, such as ``slip_time_s``."""
         value: float | None = getattr(self.control, "believed_" + name.removeprefix("actuator_"))
         return float(getattr(self.robot, name)) if value is None else value
+
+    @property
+    def sends_commands(self) -> bool:
+        """Whether commands cross the network rather than measurements."""
+        return self.filter_size > 0 and self.control.link != "measurements"
+
+    @property
+    def playout_steps(self) -> int:
+        """Control samples from a command to its execution; 0 where it has no such time."""
+        if not self.sends_commands or self.control.link != "playout":
+            return 0
+        return delay_steps(self.control.playout_s, self.control.sampling_s)
+
+    @property
+    def packet_horizon(self) -> int:
+        """Control samples for which a packet has commands behind its own; 0 without packets."""
+        if not self.sends_commands or self.control.link != "packetised":
+            return 0
+        return self.control.packet_samples
 
     @property
     def filter_size(self) -> int:

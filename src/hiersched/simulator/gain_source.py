@@ -40,13 +40,8 @@ FILTER_KEYS = (
     "plant",
 )
 """What the design of a filter reads besides."""
-BELIEFS = (
-    "control.believed_lag_s",
-    "control.believed_slip_speed_mps",
-    "control.believed_slip_turn_rate_radps",
-    "control.believed_slip_time_s",
-)
-"""What a design reads where it is set."""
+BELIEVED = ("actuator_lag_s", "slip_speed_mps", "slip_turn_rate_radps", "slip_time_s")
+"""Keys of the robot of which a design reads what `control` believes."""
 
 
 @lru_cache(maxsize=1024)
@@ -57,12 +52,14 @@ def design_values(scenario: Scenario) -> str:
     data = scenario_to_dict(scenario)
     values: dict[str, Any] = {}
     of_filter = FILTER_KEYS if scenario.control.method == "lqg" else ()
-    for key in dict.fromkeys((*DESIGN_KEYS, *plant, *of_filter, *BELIEFS)):
+    for key in dict.fromkeys((*DESIGN_KEYS, *plant, *of_filter)):
         value: Any = data
         for part in key.split("."):
             value = value[part]
-        if value is not None or key not in BELIEFS:
-            values[key] = value
+        values[key] = value
+    for name in BELIEVED:
+        if f"robot.{name}" in values:
+            values[f"robot.{name}"] = scenario.believed(name)
     return json.dumps(values, sort_keys=True)
 
 

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.models.model import Belief, Setup, model_fields, num_model_values
+from hiersched.models.plant.command_link import LINKS, NO_LINK, LinkConstants
 from hiersched.models.plant.estimator import FilterConstants, no_filter
 from hiersched.models.plant.feedback import LoopConstants
 from hiersched.models.queue.fifo import SUPERSEDING
-from hiersched.scenario.schema import Scenario
+from hiersched.scenario.schema import Scenario, delay_steps
 from hiersched.simulator.loop_gains import Gains
 
 
@@ -172,6 +173,7 @@ def _loop_constants(scenario: Scenario, gains: Gains) -> LoopConstants:
         by_age=scenario.control.delay == "age",
         adjusted_delay_steps=np.where(gains.adjusted, np.arange(count), 0).astype(np.uint32),
         filter=_filter_constants(scenario, gains),
+        link=_link_constants(scenario),
     )
 
 
@@ -190,11 +192,10 @@ def _filter_constants(scenario: Scenario, gains: Gains) -> FilterConstants:
     models = A, np.zeros_like(A), B, np.zeros_like(B)
     if scenario.control.known_motion:
         models = scenario.plant.motion_models(scenario)
-    fields = model_fields(scenario)
     return FilterConstants(
         True,
         scenario.control.known_motion,
-        scenario.robot.superseding == "none",
+        scenario.robot.superseding == "none" or scenario.sends_commands,
         *models,
         process_covariance=np.array(lqg.model.process_covariance),
         measurement_variance=np.array(lqg.model.measurement_variance),
@@ -202,8 +203,27 @@ def _filter_constants(scenario: Scenario, gains: Gains) -> FilterConstants:
         regulator=np.array(lqg.regulator),
         covariance=np.array(lqg.covariance),
         position_states=np.array(scenario.plant.position_states(), np.int64),
-        first_value=next(f.start for f in fields if f.name == "plant/estimate_0"),
+        first_value=_first_value(scenario, "plant/estimate_0"),
     )
+
+
+def _link_constants(scenario: Scenario) -> LinkConstants:
+    """Return the constants of the robots' links."""
+    if not scenario.sends_commands:
+        return NO_LINK
+    control = scenario.control
+    return LinkConstants(
+        kind=LINKS.index(control.link),
+        latency_steps=delay_steps(scenario.robot.core_latency_s, control.sampling_s),
+        playout_steps=scenario.playout_steps,
+        horizon=scenario.packet_horizon,
+        hold_steps=int(control.command_hold_s / control.sampling_s + 1e-9),
+        first_value=_first_value(scenario, "plant/late_commands"),
+    )
+
+
+def _first_value(scenario: Scenario, name: str) -> int:
+    return next(field.start for field in model_fields(scenario) if field.name == name)
 
 
 def slot_state(setup: Setup, *, has_report: bool) -> SlotState:

@@ -9,10 +9,12 @@ import hiersched.study.claims.judged
 import hiersched.study.claims.task
 import hiersched.study.figures.comparison
 import hiersched.study.figures.gains
+import hiersched.study.figures.loops
 import hiersched.study.figures.rates
 import hiersched.study.figures.task
 import hiersched.study.figures.training
 import hiersched.study.tables.gains
+import hiersched.study.tables.loops
 import hiersched.study.tables.paper
 import hiersched.study.tables.policies
 import hiersched.study.tables.task  # noqa: F401

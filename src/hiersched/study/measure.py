@@ -15,6 +15,9 @@ slots
 rates
     A rate: `share` of the slots or windows (`span`) and users of a `slice` at or below it, in a
     logged run of the evaluation.
+chains
+    A transition of a robot's delay from one control sample to the next, in an evaluation's logged
+    run: how often (`count`), and how often from one beyond the longest with a gain (`capped`).
 delays
     A time: `share` of the delivered URLLC packets of such a run that took longer.
 task
@@ -59,6 +62,7 @@ from hiersched.log import LogError, LogReader
 from hiersched.policies.registry import Rule
 from hiersched.scenario import Scenario
 from hiersched.scenario.schema import checkpoint_rounds
+from hiersched.simulator.loop_growth import sampled_delays
 from hiersched.study.metrics import (
     MEASURED,
     checked_sojourns,
@@ -68,7 +72,7 @@ from hiersched.study.metrics import (
     tracking_error_by_window_cm,
 )
 
-RUN_TABLES = ("runs", "windows", "slots", "rates", "delays")
+RUN_TABLES = ("runs", "windows", "slots", "rates", "delays", "chains")
 """Of a group of policies."""
 TASK_TABLES = ("task", "traces")
 """Of a group of policies that runs in the study of the task."""
@@ -183,6 +187,7 @@ def _measure_runs(
             found["slots"] = _slots(run)
             found["rates"] = _rates(run, point.scenario)
             found["delays"] = _delays(sojourns, point.scenario)
+            found["chains"] = _chains(run, point.scenario)
         for name, frame in found.items():
             tables[name].append(frame.assign(**labels, policy=policy, seed=seed))
     table = pd.DataFrame(rows).assign(logged=True)
@@ -306,6 +311,32 @@ def _rates(run: RunSlots, scenario: Scenario) -> pd.DataFrame:
             end = int(np.searchsorted(share, 1.0)) + 1
             rises = {"rate_mbps": RATE_EDGES[begin:end], "share": share[begin:end]}
             frames.append(pd.DataFrame({"span": span, "slice": name, **rises}))
+    return pd.concat(frames, ignore_index=True)
+
+
+def _chains(run: RunSlots, scenario: Scenario) -> pd.DataFrame:
+    """Count how often a robot's delay was followed by another, sample by sample, capped at T_max.
+
+    `capped`: how many of these samples were beyond it.
+    """
+    sampled = sampled_delays(run.measured("delay_steps"), scenario, run.slot_s)
+    T = scenario.max_delay_steps
+    frames = []
+    for robot, delays in enumerate(sampled.T):
+        start, end = np.minimum(delays[:-1], T), np.minimum(delays[1:], T)
+        place, count = np.unique(start * (T + 1) + end, return_counts=True)
+        capped = np.bincount(start * (T + 1) + end, delays[:-1] > T, (T + 1) ** 2)[place]
+        frames.append(
+            pd.DataFrame(
+                {
+                    "robot": robot,
+                    "delay_steps": place // (T + 1),
+                    "next_steps": place % (T + 1),
+                    "count": count,
+                    "capped": capped.astype(np.int64),
+                }
+            )
+        )
     return pd.concat(frames, ignore_index=True)
 
 

@@ -12,9 +12,6 @@ from hiersched.control.checks import as_matrix, as_positive, as_square
 
 FloatArray = npt.NDArray[np.float64]
 
-NUM_SLIP = 2
-"""States of the slip, of speed and of turn rate."""
-
 
 def unicycle_error_model(
     speed_mps: float, turn_rate_radps: float, actuator_lag_s: float
@@ -76,11 +73,11 @@ def slipping_error_model(
     A_c, B_c = unicycle_error_model(speed_mps, turn_rate_radps, actuator_lag_s)
     as_positive("slip_time_s", slip_time_s)
     n = len(A_c)
-    extended = np.zeros((n + NUM_SLIP, n + NUM_SLIP))
+    extended = np.zeros((n + 2, n + 2))
     extended[:n, :n] = A_c
     extended[0, n] = extended[2, n + 1] = 1.0
     extended[n, n] = extended[n + 1, n + 1] = -1.0 / slip_time_s
-    return extended, np.vstack([B_c, np.zeros((NUM_SLIP, B_c.shape[1]))])
+    return extended, np.vstack([B_c, np.zeros((2, B_c.shape[1]))])
 
 
 def discretise_noise(A_c: npt.ArrayLike, density: npt.ArrayLike, sampling_s: float) -> FloatArray:

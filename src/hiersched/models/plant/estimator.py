@@ -86,8 +86,9 @@ class FilterMemory(NamedTuple):
     std_by_age: NDArray[np.float64]  # (samples + 1,) of a prediction where all arrive, as known
     num_ages: NDArray[np.int64]  # (1,) of which it is known
     ahead: NDArray[np.float64]  # (N, N) covariance at the last of these
+    planned: NDArray[np.float64]  # (N,) and all below: work arrays
     scratch: NDArray[np.float64]  # (N,)
-    A: NDArray[np.float64]  # (N, N) and the next two: work arrays
+    A: NDArray[np.float64]  # (N, N)
     B: NDArray[np.float64]  # (N, m)
     product: NDArray[np.float64]  # (N, N)
 
@@ -108,6 +109,7 @@ def filter_memory(
         std_by_age=np.zeros(samples + 1 if size else 0),
         num_ages=np.zeros(1, np.int64),
         ahead=np.zeros((size, size)),
+        planned=np.zeros(size),
         scratch=np.zeros(size),
         A=np.zeros((size, size)),
         B=np.zeros((size, inputs)),
@@ -122,20 +124,24 @@ def estimate_now(
     """Filter what has arrived by a control sample, and predict: `memory.filter.predicted`.
 
     Of a loop's `LoopConstants` and `LoopMemory`: the newest measurement in `history` is T_d old,
-    and thought to be newer by `stamp_error`; `commands` are those applied, sample by sample. At the
-    start, and until a measurement arrives, the robot is known to stand on its reference.
+    and thought to be newer by `stamp_error`; `commands` are those applied, sample by sample. Where
+    commands cross the network, what the controller takes for applied stands in their place, and the
+    prediction goes on to the time of execution. At the start, and until a measurement arrives, the
+    robot is known to stand on its reference.
     """
     _filter(loop, memory, sample, sample - delay_steps, env, robot)
-    me, own, commands = loop.filter, memory.filter, memory.commands[env, robot]
+    me, own, inputs, until = loop.filter, memory.filter, memory.commands[env, robot], sample
+    if loop.link.kind != 0:
+        inputs, until = memory.link.assumed[env, robot], sample + memory.link.ahead[env, robot]
     predicted, spread = own.predicted[env, robot], own.spread[env, robot]
     copy(own.estimate[env, robot], predicted)
     copy(own.covariance[env, robot].reshape(-1), spread.reshape(-1))
     A, B = me.A[0], me.B[0]
-    for stamp in range(max(own.filtered[env, robot] - 1, 0), sample):
+    for stamp in range(max(own.filtered[env, robot] - 1, 0), until):
         if me.is_known:
             A, B = own.A, own.B
-            _form_model(me, own, own.motion[env, robot, stamp])
-        _move(A, B, own.scratch, predicted, commands[stamp])
+            form_model(me, own, own.motion[env, robot, min(stamp, sample)])
+        move(A, B, own.scratch, predicted, inputs[stamp])
         if not me.all_arrive:
             _spread(me, A, own.product, spread)
 
@@ -151,8 +157,8 @@ def _filter(loop: Any, memory: Any, sample: int, newest: int, env: int, robot: i
         if stamp > 0:
             if me.is_known:
                 A, B = own.A, own.B
-                _form_model(me, own, own.motion[env, robot, stamp - 1])
-            _move(A, B, own.scratch, estimate, commands[stamp - 1])
+                form_model(me, own, own.motion[env, robot, stamp - 1])
+            move(A, B, own.scratch, estimate, commands[stamp - 1])
             if not me.all_arrive:
                 _spread(me, A, own.product, covariance)
         own.filtered[env, robot] = stamp + 1
@@ -169,14 +175,18 @@ def _filter(loop: Any, memory: Any, sample: int, newest: int, env: int, robot: i
 def note_estimate(
     me: FilterConstants,
     memory: FilterMemory,
+    ahead: int,
     values: NDArray[np.float64],
     sample: int,
     env: int,
     robot: int,
 ) -> None:
-    """Write what `estimate_fields` names, of the last control sample, into a world's `values`."""
+    """Write what `estimate_fields` names, of the last control sample, into a world's `values`.
+
+    It is the state for which a command was made, `ahead` of the sample.
+    """
     num_robots, n = memory.filtered.shape[1], me.measurement_variance.shape[0]
-    age = sample - (memory.filtered[env, robot] - 1)
+    age = sample + ahead - (memory.filtered[env, robot] - 1)
     if me.all_arrive:
         _know_ages(me, memory, age)
         std = memory.std_by_age[age]
@@ -229,7 +239,7 @@ def note_arrivals(
 
 
 @inner_kernel()
-def _form_model(me: FilterConstants, memory: FilterMemory, motion: NDArray[np.float64]) -> None:
+def form_model(me: FilterConstants, memory: FilterMemory, motion: NDArray[np.float64]) -> None:
     """Put the model of an interval into the work arrays: `motion` (2,) is that of the reference."""
     speed, turn_rate = motion[0], motion[1]
     if not abs(turn_rate) <= MAX_TURN_RATE_RADPS:
@@ -244,7 +254,7 @@ def _form_model(me: FilterConstants, memory: FilterMemory, motion: NDArray[np.fl
 
 
 @inner_kernel()
-def _move(
+def move(
     A: NDArray[np.float64],
     B: NDArray[np.float64],
     moved: NDArray[np.float64],

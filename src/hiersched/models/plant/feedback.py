@@ -9,7 +9,21 @@ from numba import njit
 from numpy.typing import NDArray
 
 from hiersched.core.compiled import inner_kernel, kernel
-from hiersched.models.plant.estimator import FilterConstants, FilterMemory, estimate_now
+from hiersched.models.plant.command_link import (
+    MEASUREMENTS,
+    LinkConstants,
+    LinkMemory,
+    assume_inputs,
+    note_link,
+    play_command,
+    send_commands,
+)
+from hiersched.models.plant.estimator import (
+    FilterConstants,
+    FilterMemory,
+    estimate_now,
+    note_estimate,
+)
 
 
 class LoopConstants(NamedTuple):
@@ -28,6 +42,7 @@ class LoopConstants(NamedTuple):
     by_age: bool  # whether the delay is the age of the newest packet delivered
     adjusted_delay_steps: NDArray[np.uint32]  # (T_max + 1,) T, but 0 where its gain is the nominal
     filter: FilterConstants  # of the method lqg, in place of the tables
+    link: LinkConstants  # what of its feedback crosses the network
 
 
 class LoopMemory(NamedTuple):
@@ -38,11 +53,12 @@ class LoopMemory(NamedTuple):
     control: NDArray[np.float64]  # (E, R, m) commands in force
     held: NDArray[np.int64]  # (E, R, 2) entry in force, samples for which it has to be kept
     filter: FilterMemory
+    link: LinkMemory
 
 
 def forget(memory: LoopMemory) -> None:
     """Bring a memory back to the start, in place."""
-    for values in (*memory[:-1], *memory.filter):
+    for values in (*memory[:-2], *memory.filter, *memory.link):
         values[...] = 0
 
 
@@ -127,27 +143,65 @@ def close_loop(
     the limits (m,), stands in `memory.control` then. A sample that met a limit is counted; the
     gain in force is noted.
     """
-    history, commands = memory.history[env, robot], memory.commands[env, robot]
-    control, delay_steps = memory.control[env, robot], int(slot.delay_steps[robot])
+    commands, control = memory.commands[env, robot], memory.control[env, robot]
+    delay_steps = int(slot.delay_steps[robot])
     believed_steps = max(0, delay_steps - loop.stamp_error)
     entry = entry_in_force(loop, believed_steps, memory.held[env, robot])
-    now, past = history[sample], history[late_place(sample, delay_steps, history.shape[0])]
-    saturated = 0
     if loop.filter.is_on:
-        estimate_now(loop, memory, sample, delay_steps, env, robot)
+        _control_by_filter(memory, limits, loop, sample, delay_steps, env, robot)
+    else:
+        history = memory.history[env, robot]
+        now, past = history[sample], history[late_place(sample, delay_steps, history.shape[0])]
+        for i in range(limits.shape[0]):
+            control[i] = feedback(loop, entry, i, past, now, sample, commands)
+    saturated = 0
     for i in range(limits.shape[0]):
-        command = 0.0
-        if loop.filter.is_on:
-            for j in range(loop.filter.regulator.shape[1]):
-                command -= loop.filter.regulator[i, j] * memory.filter.predicted[env, robot, j]
-        else:
-            command = feedback(loop, entry, i, past, now, sample, commands)
-        if abs(command) > limits[i]:
-            command = limits[i] if command > 0.0 else -limits[i]
+        if abs(control[i]) > limits[i]:
+            control[i] = limits[i] if control[i] > 0.0 else -limits[i]
             saturated = 1
-        control[i] = command
     if loop.has_memory or loop.filter.is_on:
         for i in range(limits.shape[0]):
             commands[sample % commands.shape[0], i] = control[i]
     slot.control_saturated[robot] += saturated
     state.gain_delay_steps[env, robot] = loop.adjusted_delay_steps[entry]
+
+
+@inner_kernel()
+def _control_by_filter(
+    memory: LoopMemory,
+    limits: NDArray[np.float64],
+    loop: LoopConstants,
+    sample: int,
+    delay_steps: int,
+    env: int,
+    robot: int,
+) -> None:
+    """Set a robot's inputs, before limits, by the filter and over the link."""
+    if loop.link.kind == MEASUREMENTS:
+        estimate_now(loop, memory, sample, delay_steps, env, robot)
+        control, predicted = memory.control[env, robot], memory.filter.predicted[env, robot]
+        for i in range(limits.shape[0]):
+            command = 0.0
+            for j in range(predicted.shape[0]):
+                command -= loop.filter.regulator[i, j] * predicted[j]
+            control[i] = command
+        return
+    assume_inputs(loop, memory, sample, env, robot)
+    estimate_now(loop, memory, sample, loop.link.latency_steps, env, robot)
+    send_commands(loop, memory, limits, sample, env, robot)
+    play_command(loop, memory, sample, delay_steps, env, robot)
+
+
+@inner_kernel()
+def note_loop(
+    loop: LoopConstants, memory: LoopMemory, state: Any, sample: int, env: int, robot: int
+) -> None:
+    """Note for the record what a robot's filter and link say at the end of a slot, if it has any.
+
+    `sample` is its last control sample. Kernels of plants call this after the last step.
+    """
+    if loop.filter.is_on:
+        values, ahead = state.model_values[env], memory.link.ahead[env, robot]
+        note_estimate(loop.filter, memory.filter, ahead, values, sample, env, robot)
+        if loop.link.kind != MEASUREMENTS:
+            note_link(loop, memory, values, sample, env, robot)

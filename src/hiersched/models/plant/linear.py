@@ -19,8 +19,14 @@ from hiersched.core.parameters import Matrix, NonEmpty, NonNegative, Note, Posit
 from hiersched.core.randomness import NormalScratch, draw_normals, normal_scratch
 from hiersched.models.model import PLANT, Plant, Setup
 from hiersched.models.plant.dexterity import window_index
-from hiersched.models.plant.estimator import note_arrivals, note_estimate
-from hiersched.models.plant.feedback import LoopMemory, close_loop, forget, late_place
+from hiersched.models.plant.estimator import note_arrivals
+from hiersched.models.plant.feedback import (
+    LoopMemory,
+    close_loop,
+    forget,
+    late_place,
+    note_loop,
+)
 from hiersched.models.seams import DRIVE
 
 if TYPE_CHECKING:
@@ -264,9 +270,7 @@ def drive_linear(me: LinearWords, constants: Any, state: Any, slot: Any, env: in
             )
             me.window_square[env, robot] = 0.0
         slot.tracking_error_m[robot] = math.sqrt(square)
-        if constants.loop.filter.is_on:
-            values, sample = state.model_values[env], now // me.slots_per_sample
-            note_estimate(constants.loop.filter, me.memory.filter, values, sample, env, robot)
+        note_loop(constants.loop, me.memory, state, now // me.slots_per_sample, env, robot)
         copy(body, slot.state[robot])
         copy(me.memory.control[env, robot], slot.control[robot])
 

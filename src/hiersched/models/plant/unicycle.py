@@ -20,14 +20,18 @@ from hiersched.core.parameters import Note
 from hiersched.core.randomness import NormalScratch, draw_normals, normal_scratch
 from hiersched.models.model import PLANT, Plant, Setup
 from hiersched.models.plant.dexterity import MIN_SPEED_MPS, window_index
-from hiersched.models.plant.error_model import NUM_SLIP
 from hiersched.models.plant.estimator import (
     MAX_TURN_RATE_RADPS,
     MOTION_STEP_RADPS,
     note_arrivals,
-    note_estimate,
 )
-from hiersched.models.plant.feedback import LoopConstants, LoopMemory, close_loop, forget
+from hiersched.models.plant.feedback import (
+    LoopConstants,
+    LoopMemory,
+    close_loop,
+    forget,
+    note_loop,
+)
 from hiersched.models.plant.operator import OperatorWords, draw_references, operator_words
 from hiersched.models.seams import DRIVE
 
@@ -38,6 +42,8 @@ if TYPE_CHECKING:
 
 NUM_STATES = 5
 NUM_INPUTS = 2
+NUM_SLIP = 2
+"""States of the slip: of speed and of turn rate."""
 
 LANES = 16
 """Robots that move side by side. A block of them is one flat array, field after field: with offsets
@@ -428,20 +434,6 @@ def _end_window(me: UnicycleWords, lanes: NDArray[np.float64], index: NDArray[np
         lanes[place] = 0.0
 
 
-@inner_kernel()
-def _record_estimate(
-    me: UnicycleWords, loop: LoopConstants, state: Any, env: int, robot: int
-) -> None:
-    """Note the estimate of a robot's last control sample, once it has had one."""
-    since_first = (state.slot[env] + 1) * me.steps_per_slot - 1
-    if me.is_spread:
-        since_first -= me.phase[robot]
-    if since_first >= 0:
-        sample = since_first // me.steps_per_sample
-        values = state.model_values[env]
-        note_estimate(loop.filter, me.memory.filter, values, sample, env, robot)
-
-
 @inner_kernel(forceinline=True)
 def _record_robot(
     me: UnicycleWords,
@@ -473,8 +465,11 @@ def _record_robot(
         slot.set_point[robot, 2] = heading
     for i in range(NUM_INPUTS):
         slot.control[robot, i] = me.memory.control[env, robot, i]
-    if loop.filter.is_on:
-        _record_estimate(me, loop, state, env, robot)
+    since_first = (state.slot[env] + 1) * me.steps_per_slot - 1
+    if me.is_spread:
+        since_first -= me.phase[robot]
+    if since_first >= 0:
+        note_loop(loop, me.memory, state, since_first // me.steps_per_sample, env, robot)
 
 
 @inner_kernel()

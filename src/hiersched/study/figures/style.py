@@ -101,6 +101,7 @@ GAIN_METHODS = {
     "predictor": Look("predictor", "#CC79A7", (0, (1, 1.2)), "D"),
     "latency_compensated": Look("latency-compensated", "#3b3b3b", (0, (7, 1, 2, 1)), "v"),
     "h2": Look("H2", "#E69F00", (0, (3, 1, 1, 1)), "P"),
+    "lqg": Look("filter (LQG)", "#56B4E9", "-", "X"),
 }
 """How the methods of the gain study are drawn."""
 
