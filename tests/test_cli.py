@@ -64,7 +64,7 @@ def test_a_fault_is_one_message(
 def test_a_missing_file_names_those_that_exist(capsys: pytest.CaptureFixture) -> None:
     assert main(["scenario", "check", "papper"]) == 2
     there = ", ".join(path.stem for path in SHIPPED)
-    assert "paper, smoke" in there
+    assert "paper, pendulum, smoke" in there
     assert f"no such scenario; there are: {there}" in capsys.readouterr().err
 
 

@@ -50,7 +50,7 @@ def test_every_log_is_measured_once(tiny: Scenario, logs: Path) -> None:
 
 
 def test_groups_have_the_tables_of_what_they_run(tiny: Scenario, results: Path) -> None:
-    runs = {"runs", "windows", "slots", "rates", "delays"}
+    runs = {"runs", "windows", "slots", "rates", "delays", "chains"}
     assert {group: set(names) for group, names in measured_groups(tiny).items()} == {
         "classical": runs,
         "ddpg": {*runs, "episodes"},

@@ -46,6 +46,7 @@ GAINS = set("gain_methods gains table2_gain table2_methods figX_gain figX_gain_t
 GAINS |= {"claim8"}
 GRID = set("gain_grid gain_stability figX_gain_grid figX_gain_stability".split())
 SWEPT_GAINS = {"gain_sweeps", "figX_gain_sweeps"}
+LOOP_CELLS = {"gain_cells", "figX_gain_cells"}
 
 
 @pytest.mark.parametrize(
@@ -56,10 +57,13 @@ SWEPT_GAINS = {"gain_sweeps", "figX_gain_sweeps"}
             GAINS
             | GRID
             | SWEPT_GAINS
+            | LOOP_CELLS
             | {"generalisation", "figX_generalise", "bound"}
             | {"figX_bound"},
         ),
         ("gain_study: {weight: []}\n", GRID | SWEPT_GAINS),
+        ("gain_study: {cells: {near: null, far: null}}\n", LOOP_CELLS),
+        ("control: {loop: split}\n", {"second_moments"}),
         ("gain_study: {noise_position_m: [], noise_heading_rad: []}\n", SWEPT_GAINS),
         (
             "sweeps: {axes: {load: null, load_ratio: null}}\n",

@@ -169,7 +169,7 @@ def _growth(log: LogReader) -> list[str]:
     kept = log.attachments
     if not {"scenario.yaml", "schedule.json"} <= set(kept) or not log.num_slots:
         return []
-    if "delay_steps" not in log.known_fields("/robots"):
+    if "/robots" not in log.topics or "delay_steps" not in log.known_fields("/robots"):
         return []
     text = kept["scenario.yaml"].decode()
     try:
@@ -184,9 +184,9 @@ def _growth(log: LogReader) -> list[str]:
     word = "shrinks" if growth.in_force < 1.0 else "GROWS"
     return [
         "",
-        f"second moment of the loop over its delays, robot {robot} the worst: {word} by "
+        f"second moment of the loop over its delays, robot {robot} the worst: {word}, factor "
         f"{growth.in_force:.4f} a sample",
-        f"  with the nominal gain by {growth.nominal:.4f}; with the gains at once by "
+        f"  with the nominal gain {growth.nominal:.4f}, with gains that follow each delay at once "
         f"{growth.followed:.4f}",
     ]
 
