@@ -25,6 +25,7 @@ from hiersched.core.randomness import world_keys
 from hiersched.policies.policy import View, Weights
 from hiersched.scenario import Scenario, load_scenario
 from hiersched.simulator import Simulator, SlotRecord
+from hiersched.simulator.gain_source import scenario_gains
 from hiersched.simulator.loop import draw_channel
 from hiersched.simulator.loop_gains import nominal_gains
 from hiersched.simulator.simulator import AnyPolicy
@@ -36,6 +37,7 @@ CALL = "pf, one world, 200 slots a call"
 TEN = "pf, 10 worlds, 200 slots a call"
 PYTHON = "a policy in Python, 10 worlds"
 PRESENT = "teleop_fading, robots know their reference, 64 worlds"
+SCHEDULE = "paper, drift_plus_penalty, gains of every delay, 64 worlds"
 COMPARED = {
     "the 10 robots alone, 64 worlds": (FLOOR, 0.3),
     BATCH: (FLOOR, 0.11),
@@ -49,6 +51,9 @@ COMPARED = {
     PRESENT: (FLOOR, 0.05),
     "teleop_fading, set-points held, 64 worlds": (PRESENT, 0.85),
     "teleop_fading, set-points extrapolated, 64 worlds": (PRESENT, 0.7),
+    SCHEDULE: (FLOOR, 0.08),
+    "paper, filters in the loops, 64 worlds": (SCHEDULE, 0.72),
+    "paper, filters that know the motion, 64 worlds": (SCHEDULE, 0.72),
 }
 """Contender -> with whose speed its own is compared, and the least ratio."""
 
@@ -63,9 +68,10 @@ def draw_floor(plugs, constants, state, slot, slots):
 
 
 def simulator(num_envs: int, num_slots: int = SLOTS, scenario: Scenario | None = None) -> Simulator:
-    """Worlds of a scenario, `paper` unless given, with the nominal gain at every delay."""
+    """Worlds of a scenario, `paper` unless given; without one with the nominal gain throughout."""
+    gains = nominal_gains(paper()) if scenario is None else scenario_gains(scenario)
     scenario = paper() if scenario is None else scenario
-    return Simulator(scenario, nominal_gains(scenario), world_keys("bench", 1, num_envs), num_slots)
+    return Simulator(scenario, gains, world_keys("bench", 1, num_envs), num_slots)
 
 
 class Waits:
@@ -141,6 +147,11 @@ def contenders() -> dict[str, Callable[[], int]]:
         simulator(64, scenario=replace(teleop, robot=replace(teleop.robot, set_point=name)))
         for name in ("present", "hold", "extrapolate")
     ]
+    lqg = {"method": "lqg", "hold_samples": 0}
+    looped = [
+        simulator(64, scenario=replace(paper(), control=replace(paper().control, **keys)))
+        for keys in ({}, lqg, {**lqg, "known_motion": True})
+    ]
     shared, flat = (some_policy(many.scenario, learner) for learner in ("ddpg", "ddpg_mlp"))
     works = (
         robots,
@@ -152,7 +163,7 @@ def contenders() -> dict[str, Callable[[], int]]:
         episodes(many, shared, 1),
         episodes(many, flat, 1),
         episodes(ten, Waits(), 4),
-        *(episodes(worlds, "drift_plus_penalty", 1) for worlds in late),
+        *(episodes(worlds, "drift_plus_penalty", 1) for worlds in (*late, *looped)),
     )
     return {FLOOR: floor, **dict(zip(COMPARED, works, strict=True))}
 

@@ -106,13 +106,8 @@ def test_every_panel_has_title_units_and_data(figures: dict[str, Figure]) -> Non
             assert axes.get_title(loc="left"), name
             inner = not axes.xaxis.get_tick_params()["labelbottom"]  # the panel below has it
             assert axes.get_xlabel() or inner, name
-    for name in set(figures) - {
-        "fig4_rate_cdf",
-        "fig8_violations",
-        "figX_delay",
-        "figX_bound",
-        *DOTS,
-    }:
+    unlabelled = {"fig4_rate_cdf", "fig8_violations", "figX_delay", "figX_bound", *DOTS}
+    for name in set(figures) - unlabelled:
         panels = [axes for axes in figures[name].axes if axes.get_label() != "<colorbar>"]
         assert all("[" in axes.get_ylabel() for axes in panels), name
 

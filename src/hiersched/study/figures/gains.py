@@ -61,7 +61,6 @@ def draw_gain(study: Study) -> Figure:
     xlabel = f"time slot (window of {scenario.robot.window_s:g} s)"
     limits = 0.3, gain_study.num_windows + 0.7
     left.set(xlabel=xlabel, ylabel="RMS over the window [cm]", xlim=limits)
-    style.shared_legend(figure, left)
     violated = gains[gains["violated"]]
     slots = sorted(violated["slot"].unique())
     places = {slot: place for place, slot in enumerate(slots)}
@@ -84,8 +83,7 @@ def draw_gain(study: Study) -> Figure:
         f"(b) all methods; {style.GAIN_METHODS[method].label}: {lowest:.2f} to {highest:.2f}"
     )
     right.set_xlabel("time slot of violated delay")
-    narrow: dict[str, Any] = {"handletextpad": 0.3, "columnspacing": 0.6, "handlelength": 1.6}
-    right.legend(ncols=2, loc="lower left", fontsize=6.2, borderaxespad=0.0, **narrow)
+    style.shared_legend(figure, left, right, columns=5)
     style.caption(
         figure,
         f"Mean over robots and {seeds} seeds; bars: 95 % intervals, "

@@ -59,7 +59,7 @@ def draw_gain_cells(study: Study) -> Figure:
         figure,
         f"{own.sweep_robots} robots, {own.cell_windows - 1} windows of "
         f"{study.scenario.robot.window_s:g} s behind the first, {len(own.seeds)} seeds; bars: 95 % "
-        f"intervals (Student t). Dashed: {OFF_TRACK_CM:g}, off track. Open marks at the right edge: "
-        "beyond it.",
+        f"intervals (Student t). Dashed: {OFF_TRACK_CM:g}, off track. Open marks: beyond the "
+        "edge.",
     )
     return figure

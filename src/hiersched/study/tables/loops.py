@@ -28,15 +28,15 @@ def has_loop_cells(scenario: Scenario) -> bool:
 
 
 def filtered_cells(scenario: Scenario) -> dict[str, str]:
-    """Return cells without values of their own and with a filter at a constant delay: name, point.
+    """Return cells with a filter at a constant delay, of references alone: name, point.
 
-    There the filter believes what is.
+    There the filter believes what is, but for how the reference turns.
     """
     cells = scenario.gain_study.cells if has_loop_cells(scenario) else {}
     return {
         name: f"{name}_lqg"
         for name, cell in cells.items()
-        if not cell.values
+        if all(key.startswith("robot.reference") for key in cell.values)
         and not cell.sawtooth
         and "lqg" in (cell.methods or scenario.gain_study.cell_methods)
     }
@@ -108,7 +108,8 @@ def cells_table(study: Study) -> pd.DataFrame:
     title="What the filter expects of the loop, and what came out",
     note="Root mean square position error. `expected_cm`: the stationary second moment of the "
     "linear model at a constant age, in closed form; `linear_cm`: that model simulated; "
-    "`robots_cm`: the robots of the gain study, with saturation, turns and slots.",
+    "`robots_cm`: the robots of the gain study, with saturation, turns and slots. "
+    "`estimate_std_cm`: what the filter expects of its estimate's error.",
     reads=("windows", "schedules"),
     when=has_filtered_cells,
 )
@@ -131,6 +132,7 @@ def filter_table(study: Study) -> pd.DataFrame:
         robots_cm = math.sqrt((error_cm**2).mean())
         rows.append(
             {
+                "cell": name,
                 "age_samples": age,
                 "delay_s": age * variant.control.sampling_s,
                 "expected_cm": 100.0 * expected_m,
