@@ -9,13 +9,17 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from hiersched.control import count_transitions
 from hiersched.core.files import write_parquet
 from hiersched.experiments.gains import design_gains, designs
 from hiersched.experiments.logged import RunSlots
 from hiersched.experiments.points import LOOP_CELLS, experiments
 from hiersched.scenario import Scenario
-from hiersched.simulator.loop_growth import loop_growth, sampled_delays, worst_robot
+from hiersched.simulator.loop_growth import (
+    loop_growth,
+    sampled_delays,
+    transitions,
+    worst_growth,
+)
 from hiersched.study.figures.loops import draw_gain_cells
 from hiersched.study.figures.style import house_style
 from hiersched.study.measure import _chains, measure, measured_groups, table_file
@@ -114,8 +118,9 @@ def test_the_worst_robot_is_the_one_that_grows(tiny: Scenario) -> None:
     schedule = _schedule(tiny)
     steps = np.ones((400, 2), np.uint32)
     steps[:, 1] = np.resize(np.repeat([1, 12], 20), 400)
-    robot, growth = worst_robot(tiny, schedule, steps, 0.01)
+    counts = transitions(steps, tiny, 0.01)
+    assert counts[0, 1, 1] == counts[0].sum() == 199.0
+    robot, growth = worst_growth(tiny, schedule, counts)
     assert robot == 1
-    counts = count_transitions(sampled_delays(steps, tiny, 0.01)[:, 1:], tiny.max_delay_steps)
-    assert growth == loop_growth(tiny, schedule, counts)
+    assert growth == loop_growth(tiny, schedule, counts[1])
     assert growth.nominal > 1.0

@@ -164,7 +164,7 @@ def _growth(log: LogReader) -> list[str]:
     from hiersched.control import GainSchedule
     from hiersched.scenario import load_resolved
     from hiersched.scenario.strict_yaml import parse_yaml
-    from hiersched.simulator.loop_growth import worst_robot
+    from hiersched.simulator.loop_growth import transitions, worst_growth
 
     kept = log.attachments
     if not {"scenario.yaml", "schedule.json"} <= set(kept) or not log.num_slots:
@@ -178,7 +178,8 @@ def _growth(log: LogReader) -> list[str]:
         scenario, _, _ = load_resolved(text, Path("scenario.yaml"))
         schedule = GainSchedule.from_json(kept["schedule.json"].decode(), vouched=True)
         delays = log.read("/robots", ["delay_steps"])["delay_steps"]
-        robot, growth = worst_robot(scenario, schedule, delays, log.slot_ns * 1e-9)
+        counts = transitions(delays, scenario, log.slot_ns * 1e-9)
+        robot, growth = worst_growth(scenario, schedule, counts)
     except (ValueError, LookupError, TypeError, YAMLError):  # none over the network, or another's
         return []
     word = "shrinks" if growth.in_force < 1.0 else "GROWS"

@@ -44,30 +44,48 @@ def loop_growth(
     ValueError if not all feedback crosses the network, or nothing was counted.
     """
     plant, control = plant_of(scenario), scenario.control
-    if plant.kind != "network":
-        raise ValueError(f"control.loop = {control.loop!r}: must be 'network'")
     chain = chain_of_counts(counts)
     fixed = np.repeat(schedule.nominal[None], len(schedule.gains), axis=0)
     nominal = second_moment_growth(plant.A, plant.B, fixed, chain)
-    if schedule.lqg is not None:
-        followed = in_force = schedule.lqg.growth
-    else:
-        tables = plant.A, plant.B, schedule.gains
-        followed = in_force = second_moment_growth(*tables, chain, schedule.input_gains)
-        if control.hold_samples:
-            held = chain_of_counts(counts, hold_samples=control.hold_samples)
-            in_force = second_moment_growth(*tables, held, schedule.input_gains)
-    return LoopGrowth(nominal, followed, nominal if control.gain == "nominal" else in_force)
+    followed = in_force = _followed(scenario, schedule, counts)
+    if control.gain == "nominal":
+        in_force = nominal
+    elif control.hold_samples and schedule.lqg is None:
+        held = chain_of_counts(counts, hold_samples=control.hold_samples)
+        tables = schedule.gains, held, schedule.input_gains
+        in_force = second_moment_growth(plant.A, plant.B, *tables)
+    return LoopGrowth(nominal, followed, in_force)
 
 
-def worst_robot(
-    scenario: Scenario, schedule: GainSchedule, delay_steps: NDArray[Any], slot_s: float
+def worst_growth(
+    scenario: Scenario, schedule: GainSchedule, counts: NDArray[np.float64]
 ) -> tuple[int, LoopGrowth]:
-    """Return the robot whose loop in force grows most over the delays (T, R) of slots, and how."""
+    """Return the robot whose loop grows most with gains that follow its delays, and how.
+
+    `counts` (R, T + 1, T + 1) are those of `count_transitions`. Errors as of `loop_growth`.
+    """
+    growths = [_followed(scenario, schedule, own) for own in counts]
+    robot = int(np.argmax(growths))
+    return robot, loop_growth(scenario, schedule, counts[robot])
+
+
+def _followed(scenario: Scenario, schedule: GainSchedule, counts: NDArray[np.float64]) -> float:
+    plant = plant_of(scenario)
+    if plant.kind != "network":
+        raise ValueError(f"control.loop = {scenario.control.loop!r}: must be 'network'")
+    if schedule.lqg is not None:
+        return schedule.lqg.growth
+    tables = schedule.gains, chain_of_counts(counts), schedule.input_gains
+    return second_moment_growth(plant.A, plant.B, *tables)
+
+
+def transitions(
+    delay_steps: NDArray[Any], scenario: Scenario, slot_s: float
+) -> NDArray[np.float64]:
+    """Count the transitions of every robot's delay from sample to sample: (R, T + 1, T + 1).
+
+    `delay_steps` (T, R) are those of slots.
+    """
+    longest = scenario.max_delay_steps
     delays = sampled_delays(delay_steps, scenario, slot_s)
-    growths = [
-        loop_growth(scenario, schedule, count_transitions(own[:, None], scenario.max_delay_steps))
-        for own in delays.T
-    ]
-    worst = int(np.argmax([growth.in_force for growth in growths]))
-    return worst, growths[worst]
+    return np.stack([count_transitions(own[:, None], longest) for own in delays.T])

@@ -23,7 +23,7 @@ from hiersched.study.tables.policies import (
     along_axes,
     bound_table,
     generalisation_table,
-    policy_table,
+    policy_rows,
 )
 
 LATE = "urllc_late_share"
@@ -183,7 +183,7 @@ def draw_delay(study: Study) -> Figure:
 )
 def draw_pareto(study: Study) -> Figure:
     """Draw every policy by its eMBB rate and its URLLC violations, and its tracking error."""
-    scenario, policies = study.scenario, policy_table(study)
+    scenario, policies = study.scenario, policy_rows(study)
     figure, axes = style.new_figure(height_in=1.15 * style.PANEL_HEIGHT_IN)
     rate, floor = "embb_rate_mbps", style.zero_floor(policies[LATE_BOUNDS])
     floors = {LATE: floor, "tracking_error_cm": -np.inf}
@@ -351,7 +351,7 @@ def _open_marks(table: pd.DataFrame) -> str:
 )
 def draw_violations(study: Study) -> Figure:
     """Draw the late share of URLLC packets by policy, and the tail of their delays."""
-    scenario, policies, tails = study.scenario, policy_table(study), delay_tails(study)
+    scenario, policies, tails = study.scenario, policy_rows(study), delay_tails(study)
     figure, (left, right) = style.new_figure(
         height_in=1.3 * style.PANEL_HEIGHT_IN, width_ratios=[1.15, 1.0]
     )

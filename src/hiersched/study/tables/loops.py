@@ -11,7 +11,7 @@ from hiersched.control import simulate_lqg
 from hiersched.control.checks import FloatArray
 from hiersched.experiments.points import LOOP_CELLS, STUDY_PLANTS, experiments
 from hiersched.scenario import Scenario, delay_steps
-from hiersched.simulator.loop_growth import loop_growth
+from hiersched.simulator.loop_growth import worst_growth
 from hiersched.study.registry import table
 from hiersched.study.statistics import mean_interval, paired_log_ratio
 from hiersched.study.study import Study
@@ -150,12 +150,12 @@ def filter_table(study: Study) -> pd.DataFrame:
 @table(
     "second_moments",
     title="Growth of the loops' second moments over the delays that the network gave",
-    note="Factor a sample, by user of each policy's greatest one, over the Markov chain of delays "
-    "measured behind the warm-up, worlds together: below 1 the linear loop's second moment "
-    "shrinks. `in_force`: the scenario's own method as it runs; `followed`: its gains, each "
-    "delay's at once; `nominal`: the nominal gain; `filter`: the method lqg, whatever the delays. "
-    "`capped_share`: samples beyond the longest delay with a gain, which count as that. `grows`: "
-    "the loop in force grows.",
+    note="Factor a sample, of the user of each policy for whom `followed` is greatest, over the "
+    "Markov chain of delays measured behind the warm-up, worlds together: below 1 the linear "
+    "loop's second moment shrinks. `in_force`: the scenario's own method as it runs; `followed`: "
+    "its gains, each delay's at once; `nominal`: the nominal gain; `filter`: the method lqg, "
+    "whatever the delays. `capped_share`: samples beyond the longest delay with a gain, which "
+    "count as that. `grows`: the loop in force grows.",
     reads=("chains", "schedules"),
     when=has_network_loop,
 )
@@ -167,8 +167,7 @@ def moments_table(study: Study) -> pd.DataFrame:
     rows = []
     for policy, own in chains.groupby("policy", sort=False):
         counts = _counts(own, scenario)
-        growths = [loop_growth(scenario, schedule, user) for user in counts]
-        user = int(np.argmax([growth.in_force for growth in growths]))
+        user, growth = worst_growth(scenario, schedule, counts)
         worst, steps = counts[user], np.arange(counts.shape[1])
         rows.append(
             {
@@ -176,9 +175,9 @@ def moments_table(study: Study) -> pd.DataFrame:
                 "user": user,
                 "mean_delay_steps": float(worst.sum(axis=1) @ steps / worst.sum()),
                 "capped_share": float(own[own["robot"] == user]["capped"].sum() / worst.sum()),
-                **growths[user]._asdict(),
+                **growth._asdict(),
                 "filter": filtered,
-                "grows": growths[user].in_force >= 1.0,
+                "grows": growth.in_force >= 1.0,
             }
         )
     return pd.DataFrame(rows)

@@ -40,6 +40,7 @@ from hiersched.study.statistics import (
     probability_of_improvement,
 )
 from hiersched.study.study import Study
+from hiersched.study.tables.loops import has_network_loop, moments_table
 from hiersched.study.tables.text import LEARNED_NOTE, NONE_NOTE, RATIO_NOTE
 
 BACKLOG = "mean_square_backlog"
@@ -93,18 +94,29 @@ def _means(runs: pd.DataFrame, names: Iterable[str], scenario: Scenario) -> dict
     "`mean_square_backlog`: time average of ½ΣF² [packets²]. Delays are of delivered packets; "
     "packets that still wait count in the late shares alone. `backlog_over_best`, `improvement`: "
     "mean square backlog over that of the best classical scheduler, and the probability that it "
-    f"is less in another world. The CSV has more columns. {LEARNED_NOTE}",
-    reads=("runs",),
+    f"is less in another world. `loop_growth`: factor a sample of the second moment of the worst "
+    "user's loop, see `second_moments`; 1 or more: it grows. The CSV has more columns. "
+    f"{LEARNED_NOTE}",
+    reads=("runs", "chains", "schedules"),
     columns=(
         *("policy", "seeds", "training_seeds"),
         *_READ_INTERVALS,
         *(f"{name}_median" for name in ("urllc_late_share", "embb_late_share", BACKLOG)),
         "urllc_late_share_smallest",
         *("backlog_over_best", "backlog_over_best_lo", "backlog_over_best_hi"),
-        *("improvement", "improvement_lo", "improvement_hi", "best_classical"),
+        *("improvement", "improvement_lo", "improvement_hi", "best_classical", "loop_growth"),
     ),
 )
 def policy_table(study: Study) -> pd.DataFrame:
+    """Return `policy_rows` and how the second moment of the worst loop grows under each policy."""
+    rows = policy_rows(study)
+    if has_network_loop(study.scenario):
+        growth = moments_table(study).set_index("policy")["in_force"]
+        rows["loop_growth"] = rows["policy"].map(growth)
+    return rows
+
+
+def policy_rows(study: Study) -> pd.DataFrame:
     """Return one row a policy: all measures over the evaluation's worlds, medians beside means."""
     runs, scenario = study.evaluation, study.scenario
     names = all_measures(scenario)
