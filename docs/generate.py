@@ -419,6 +419,15 @@ WHERE = {
         "hiersched.control:analyse_delay_razumikhin",
         "hiersched.control:analyse_krasovskii",
     ),
+    "the filter, and what it expects": (
+        "hiersched.control:design_lqg",
+        "hiersched.models.plant.estimator:estimate_now",
+    ),
+    "commands that cross the network": ("hiersched.models.plant.command_link",),
+    "growth over delays that were measured": (
+        "hiersched.control:second_moment_growth",
+        "hiersched.simulator.loop_growth:loop_growth",
+    ),
     "gains by C1 and C3": (
         "hiersched.control:RazumikhinSynthesis",
         "hiersched.control:KrasovskiiSynthesis",

@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 from hiersched.control.certificate import (
     Certificate,
     DelayRazumikhinWitness,
+    IntervalWitness,
     KrasovskiiWitness,
     RazumikhinWitness,
     certify,
@@ -26,6 +27,7 @@ from hiersched.control.delayed_plant import DelayedPlant, network_plant, split_p
 from hiersched.control.gain_schedule import GainSchedule, build_schedule, load_or_build
 from hiersched.control.h2 import h2_cost, h2_gain
 from hiersched.control.hysteresis import hold_delays, hold_step
+from hiersched.control.interval import analyse_interval, certify_interval
 from hiersched.control.lifted import lift, simulate_random_delays, spectral_radius_by_delay
 from hiersched.control.lqg import FilterModel, Lqg, design_lqg, simulate_lqg, stationary_filter
 from hiersched.control.lqr import dlqr, latency_compensated, tracking_weights
@@ -61,7 +63,10 @@ __all__ = [
     "RazumikhinWitness",
     "DelayRazumikhinWitness",
     "KrasovskiiWitness",
+    "IntervalWitness",
     "certify",
+    "analyse_interval",
+    "certify_interval",
     "analyse_razumikhin",
     "analyse_delay_razumikhin",
     "analyse_krasovskii",

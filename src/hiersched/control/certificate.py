@@ -67,6 +67,21 @@ Witness = RazumikhinWitness | DelayRazumikhinWitness | KrasovskiiWitness
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class IntervalWitness:
+    """Functional for delays of an interval: see `hiersched.control.interval`.
+
+    P has as many n x n blocks as its vector has parts, the others are (n, n).
+    """
+
+    criterion: ClassVar[str] = "interval"
+    P: FloatArray
+    Q1: FloatArray
+    Q2: FloatArray
+    R1: FloatArray
+    R2: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class SeparationWitness:
     """Filter and regulator are stable each by itself: see `hiersched.control.lqg`."""
 
@@ -85,7 +100,7 @@ class Certificate:
     tolerance: float = 0.0  # bound on the rounding error of the margins
     spectral_radii: FloatArray  # (T + 1,) of the lifted system at each constant delay; read-only
     # The matrices checked; None where none was found.
-    witness: Witness | SeparationWitness | None = None
+    witness: Witness | IntervalWitness | SeparationWitness | None = None
 
     def __post_init__(self) -> None:
         """Make the radii read-only."""

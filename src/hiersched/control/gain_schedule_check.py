@@ -6,7 +6,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hiersched.control.certificate import Certificate, SeparationWitness, certify
+from hiersched.control.certificate import (
+    Certificate,
+    IntervalWitness,
+    SeparationWitness,
+    certify,
+)
 from hiersched.control.checks import FloatArray
 from hiersched.control.delayed_plant import DelayedPlant
 from hiersched.control.h2 import h2_gain
@@ -109,7 +114,8 @@ def _check_gain(schedule: GainSchedule, plant: DelayedPlant, delay: int) -> None
             )
         if delay > 0 and status != "infeasible":
             _check_formula(schedule, plant, delay)
-        assert not isinstance(old.witness, SeparationWitness)  # by its criterion
+        # By its criterion it is neither of these.
+        assert not isinstance(old.witness, IntervalWitness | SeparationWitness)
         new = certify(*plant.closed_loop(gain), delay, old.witness)
     _check_certificate(delay, old, new)
 
