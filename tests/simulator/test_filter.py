@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from hiersched.control import dlqr
+from hiersched.control import build_schedule, design_lqg, dlqr
+from hiersched.core.randomness import world_keys
 from hiersched.models.model import model_fields
 from hiersched.models.plant.error_model import discretise, slipping_error_model
+from hiersched.scenario import load_scenario
+from hiersched.simulator import Simulator
 from hiersched.simulator.gain_source import scenario_gains
-from hiersched.simulator.loop_gains import filter_model_of, plant_of
+from hiersched.simulator.loop_gains import filter_model_of, loop_gains, plant_of
 
 from .conftest import vary
 
@@ -166,3 +171,49 @@ def test_the_log_has_estimate_age_and_expected_error(run, smoke_scenario):
     error = [values[f"plant/estimate_{i}"][2::2] - record.state[0, 1:-1:2, :, i] for i in range(2)]
     ratio = np.hypot(*error) / values["plant/estimate_std"][2::2]
     assert 0.8 < np.sqrt((ratio[20:] ** 2).mean()) < 1.25
+
+
+@pytest.mark.parametrize("age", [1, 3, 6, 12])
+def test_a_linear_robot_is_as_far_off_as_the_closed_form_says(age):
+    """The pendulum in the slot loop, whose angle is state 2; no delay beyond the schedule's."""
+    scenario = load_scenario("linear_plant")
+    plant = replace(scenario.plant, error_states=(2,))
+    control = replace(scenario.control, **LQG, max_delay_s=0.24)
+    scenario = replace(scenario, plant=plant, control=control)
+    lqg = design_lqg(plant_of(scenario), filter_model_of(scenario))
+    gains = loop_gains(build_schedule(plant_of(scenario), 12, "lqg", model=lqg.model), "adjusted")
+    simulator = Simulator(scenario, gains, world_keys("test", 1, 8), 3000)
+    record = simulator.run_robots(np.full((8, 3000, 4), 0.02 * age))
+    found = np.sqrt((record.tracking_error_m[:, 500:] ** 2).mean())
+    assert found == pytest.approx(np.sqrt(lqg.second_moment(age)[2, 2]), rel=0.1)
+    assert not record.control_saturated.any()
+
+
+def test_superseded_measurements_are_predicted_over(run, make_simulator, smoke_scenario):
+    """Only what arrived corrects: covariances then follow the textbook's recursion."""
+    sections = {
+        "robot": {"superseding": "batch"},
+        "control": {**LQG, "delay": "age", "sampling_s": 0.005},
+        "traffic": {"load": 2.5},
+    }
+    scenario = vary(smoke_scenario, sections)
+    simulator = make_simulator(1, SLOTS, gains=scenario_gains(scenario), **sections)
+    record = simulator.run("pf")
+    assert record.superseded_packets.sum() > 50
+    own = simulator.words["plant"].memory
+    model, arrived = filter_model_of(scenario), own.filter.arrived[0]
+    C, R = np.eye(5, 7), np.diag(model.measurement_variance)
+    for robot in range(4):
+        count = int(own.filter.filtered[0, robot])
+        assert 0.1 * count < arrived[robot, :count].sum() < 0.8 * count
+        x, P = np.zeros(7), np.zeros((7, 7))
+        for stamp in range(count):
+            if stamp > 0:
+                x = model.A @ x + model.B @ own.commands[0, robot, stamp - 1]
+                P = model.A @ P @ model.A.T + model.process_covariance
+            if arrived[robot, stamp]:
+                L = P @ C.T @ np.linalg.inv(C @ P @ C.T + R)
+                x = x + L @ (own.history[0, robot, stamp] - C @ x)
+                P = P - L @ C @ P
+        np.testing.assert_allclose(own.filter.estimate[0, robot], x, rtol=1e-6, atol=1e-9)
+        np.testing.assert_allclose(own.filter.covariance[0, robot], P, rtol=1e-5, atol=1e-12)
