@@ -75,12 +75,12 @@ def test_holding_makes_the_chain_that_the_loop_walks(make_network_plant, schedul
     """States of a held chain against `hold_delays`, over a history of delays."""
     rng = np.random.default_rng(4)
     delays = np.clip(np.cumsum(rng.integers(-1, 2, 4000)) % 13, 1, 12)
-    chain = chain_of_counts(count_transitions(delays[:, None], 12), hold_samples=5)
+    chain = chain_of_counts(count_transitions(delays[:, None]), hold_samples=5)
     np.testing.assert_allclose(chain.transition.sum(axis=1), 1.0)
     held = hold_delays(delays, 5)
     pairs = set(zip(chain.delays.tolist(), chain.entries.tolist(), strict=True))
     assert set(zip(delays[1:].tolist(), held[1:].tolist(), strict=True)) <= pairs
-    saw = chain_of_counts(count_transitions(np.resize(SAW, 20000)[:, None], 12), hold_samples=5)
+    saw = chain_of_counts(count_transitions(np.resize(SAW, 20000)[:, None]), hold_samples=5)
     plant = make_network_plant()
     assert second_moment_growth(plant.A, plant.B, schedule.gains, saw) < 1.0
 
@@ -95,9 +95,48 @@ def test_a_right_predictor_has_the_growth_of_its_regulator(make_network_plant):
     assert growth == pytest.approx(radius**2, rel=1e-6)
 
 
-def test_counts_are_capped_and_checked():
-    counts = count_transitions([[1], [2], [40], [2]], 3)
+def test_transitions_are_counted_and_checked():
+    counts = count_transitions([[1], [2], [3], [2]])
     assert counts[1, 2] == counts[2, 3] == counts[3, 2] == 1.0
     assert counts.sum() == 3.0
-    with pytest.raises(ValueError, match="counts must be square"):
+    assert count_transitions([[1], [2], [100_000]]).shape == (1, 1)
+    with pytest.raises(ValueError, match="no delay that recurs"):
         chain_of_counts(np.zeros((2, 2)))
+    with pytest.raises(ValueError, match="counts must be square"):
+        chain_of_counts(np.zeros((2, 3)))
+
+
+def test_the_last_delay_of_a_run_decides_nothing(make_network_plant):
+    """What follows it is not known: it is as if the run had ended before."""
+    plant = make_network_plant()
+    gains = np.repeat(plant.nominal_gain[None], 9, axis=0)
+    calm = np.ones((1000, 1), int)
+    ended = np.vstack([calm, [[8]]])
+    growth = [
+        second_moment_growth(plant.A, plant.B, gains, chain_of_counts(count_transitions(delays)))
+        for delays in (calm, ended)
+    ]
+    assert growth[0] == growth[1] < 0.9
+
+
+def test_delays_without_a_gain_have_that_of_the_longest(make_network_plant, schedule):
+    """The gain for 6 samples, on measurements that are 20 old, is another loop than at 6."""
+    plant = make_network_plant()
+    delays = np.resize(np.repeat([6, 20], 30), 6000)[:, None]
+    chain = chain_of_counts(count_transitions(delays), max_entry=6)
+    assert chain.delays.max() == 20
+    assert chain.entries.max() == 6
+    assert second_moment_growth(plant.A, plant.B, schedule.gains[:7], chain) > 1.0
+    short = chain_of_counts(count_transitions(np.minimum(delays, 6)))
+    assert second_moment_growth(plant.A, plant.B, schedule.gains[:7], short) < 1.0
+
+
+def test_what_is_too_large_is_said(make_network_plant):
+    plant = make_network_plant()
+    gains = np.repeat(plant.nominal_gain[None], 2, axis=0)
+    rng = np.random.default_rng(0)
+    delays = rng.integers(1, 300, (5000, 1))
+    with pytest.raises(ValueError, match="is not followed"):
+        second_moment_growth(
+            plant.A, plant.B, gains, chain_of_counts(count_transitions(delays), max_entry=1)
+        )

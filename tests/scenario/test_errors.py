@@ -132,6 +132,27 @@ from hiersched.scenario import ScenarioError, find_scenario, load_scenario
             ["gain_study.cells.far.values.radio.num_prb: must be a key of robot, control"],
         ),
         (
+            "gain_study: {cells: {far: {delay_s: 0.1, values: {control.method: h2}}}}",
+            ["gain_study.cells.far.values.control.method", "none of control.method"],
+        ),
+        (
+            "gain_study: {cells: {far: {delay_s: 0.1}}, cell_methods: []}",
+            ["gain_study.cells.far.methods = null: must name one or more"],
+        ),
+        (
+            "gain_study: {cells: {far: {delay_s: 1.0e+6}}}",
+            ["gain_study.cells.far.delay_s = 1000000.0: 50000000 samples", "at most 200"],
+        ),
+        (
+            "control: {method: lqg, link: playout, playout_s: 5.0}",
+            ["control.playout_s = 5.0: 250 samples", "at most 200"],
+        ),
+        (
+            "control: {method: lqg, link: packetised, packet_samples: 200000}",
+            ["control.packet_samples = 200000", "less than or equal to 200"],
+        ),
+        ("control: {known_motion: true}", ["known_motion = true: needs control.method = 'lqg'"]),
+        (
             "gain_study: {cells: {far: {delays: 0.1}}}",
             ["gain_study.cells.far.delays", "did you mean delay_s"],
         ),

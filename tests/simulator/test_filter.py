@@ -117,7 +117,7 @@ def test_known_motion_is_that_of_the_reference(run):
 
         def model_at(k, start=int(operator.offset[0, robot])):
             row = operator.path[start + 8 * k + 4]
-            turn_rate = round(row[0] / 0.05) * 0.05
+            turn_rate = round(row[0] / 0.1) * 0.1
             return discretise(*slipping_error_model(row[4], turn_rate, 0.1, 0.3), 0.02)
 
         wanted = expected(scenario, simulator, record, robot, model_at=model_at)
@@ -151,11 +151,14 @@ def test_a_simulator_wants_the_filter_of_its_scenario(make_simulator, nominal_ga
         make_simulator(1, 10, control=LQG)
 
 
-def test_the_log_has_estimate_age_and_expected_error(run, smoke_scenario):
+@pytest.mark.parametrize("known", [False, True])
+def test_the_log_has_estimate_age_and_expected_error(run, smoke_scenario, known):
     """Estimates predict what the robots do: errors are as large as the filter expects them."""
     rng = np.random.default_rng(5)
     delay_s = rng.uniform(0.0, 0.24, (1, SLOTS, 4))
-    scenario, _, record = run(delay_s, robot={"reference": "straight"})
+    scenario, _, record = run(
+        delay_s, robot={"reference": "straight"}, control={"known_motion": known}
+    )
     fields = {f.name: slice(f.start, f.start + f.count) for f in model_fields(scenario)}
     values = {name: record.model_values[0][:, place] for name, place in fields.items()}
     ages = values["plant/estimate_age"]

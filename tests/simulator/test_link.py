@@ -18,8 +18,8 @@ ROBOTS, SLOTS = 4, 600
 def run(smoke_scenario, make_simulator):
     """Record, and what filter and link add to it, of robots under forced delays."""
 
-    def make(delay_s, **control):
-        sections = {"control": {**LQG, **control}}
+    def make(delay_s, latency_s=0.005, **control):
+        sections = {"control": {**LQG, **control}, "robot": {"core_latency_s": latency_s}}
         scenario = vary(smoke_scenario, sections)
         delay_s = np.broadcast_to(np.asarray(delay_s, float), (1, SLOTS, ROBOTS)).copy()
         simulator = make_simulator(1, SLOTS, gains=scenario_gains(scenario), **sections)
@@ -98,3 +98,36 @@ def test_packets_bridge_delays_that_grow(run):
     assert not values["late_commands"][30:].any()
     errors = [np.sqrt((record.tracking_error_m[0, 100:] ** 2).mean()) for record in (played, timed)]
     assert errors[0] < errors[1] < 0.04
+
+
+@pytest.mark.parametrize("latency", [2, 3])
+def test_packets_are_known_for_as_long_as_what_was_played_of_them(run, latency):
+    """Old packets, of which a controller that hears late has to know what was in them."""
+    delay_s, latency_s = 0.02 * (12 + latency), 0.02 * latency
+    played, values = run(delay_s, latency_s, link="packetised")
+    wanted, _ = run(delay_s, latency_s)
+    np.testing.assert_allclose(
+        played.control[0, -100:], wanted.control[0, -100:], rtol=1e-4, atol=1e-5
+    )
+    assert np.abs(values["command_gap"][-100:]).max() < 1e-12
+
+
+@pytest.mark.parametrize(
+    "control",
+    [
+        {"link": "playout", "playout_s": 3.9},
+        {"link": "packetised", "packet_samples": 200},
+        {"link": "playout", "stamp_error_samples": -300},
+        {"stamp_error_samples": -300},
+    ],
+)
+def test_plans_beyond_the_end_of_a_run_do_no_harm(smoke_scenario, make_simulator, control):
+    """Twenty samples of a run whose commands are for later, or whose stamps lie before it."""
+    sections = {"control": {**LQG, **control}}
+    scenario = vary(smoke_scenario, sections)
+    simulator = make_simulator(1, 40, gains=scenario_gains(scenario), **sections)
+    record = simulator.run_robots(np.full((1, 40, ROBOTS), 0.1))
+    assert np.isfinite(record.model_values).all()
+    first = record.model_values.tobytes()
+    simulator.reset(simulator.state.key.copy())
+    assert simulator.run_robots(np.full((1, 40, ROBOTS), 0.1)).model_values.tobytes() == first

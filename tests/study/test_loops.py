@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from hiersched.scenario import Scenario
 from hiersched.simulator.loop_growth import (
     loop_growth,
     sampled_delays,
+    separates,
     transitions,
     worst_growth,
 )
@@ -89,9 +91,8 @@ def test_moments_are_those_of_the_filter_and_of_the_logs(
 
 
 def test_chains_count_samples_and_not_slots(tiny: Scenario) -> None:
-    """Samples every second slot behind the warm-up; robot 1 is beyond the longest delay."""
-    T = tiny.max_delay_steps
-    steps = np.array([[9, 9], [9, 9], [9, 9], [9, 9], [1, T + 5], [8, 8], [2, T], [8, 8], [1, 3]])
+    """Samples every second slot behind the warm-up."""
+    steps = np.array([[9, 9], [9, 9], [9, 9], [9, 9], [1, 17], [8, 8], [2, 12], [8, 8], [1, 3]])
     run = RunSlots(
         source="planted",
         metadata={},
@@ -101,17 +102,26 @@ def test_chains_count_samples_and_not_slots(tiny: Scenario) -> None:
         fields={"delay_steps": steps.astype(np.uint32)},
     )
     table = _chains(run, tiny).set_index(["robot", "delay_steps", "next_steps"])
-    assert table["count"].to_dict() == {(0, 1, 2): 1, (1, T, T): 1}
-    assert table["capped"].to_dict() == {(0, 1, 2): 0, (1, T, T): 1}
+    assert table["count"].to_dict() == {(0, 1, 2): 1, (1, 17, 12): 1}
     longer = sampled_delays(np.arange(10)[:, None], tiny, 0.01)
     assert longer[:, 0].tolist() == [0, 2, 4, 6, 8]
 
 
-def test_growth_is_that_of_the_loop_in_force(tables: dict[str, pd.DataFrame]) -> None:
-    table = tables["second_moments"]
-    assert sorted(table["policy"]) == ["alt", "ddpg", "drift_plus_penalty", "pf"]
+def test_growth_is_that_of_the_measured_chain(
+    tables: dict[str, pd.DataFrame], study: Study
+) -> None:
+    table = tables["second_moments"].set_index("policy")
+    assert sorted(table.index) == ["alt", "ddpg", "drift_plus_penalty", "pf"]
     assert table["filter"].isna().all()  # the tiny study has none
-    assert (table["grows"] == (table["in_force"] >= 1.0)).all()
+    chains = study.measures("chains")
+    own = chains[(chains["policy"] == "pf") & (chains["robot"] == table.loc["pf", "user"])]
+    counts = np.zeros((40, 40))
+    for row in own.to_dict("records"):
+        counts[row["delay_steps"], row["next_steps"]] += row["count"]
+    growth = loop_growth(study.scenario, study.schedule(study.scenario), counts)
+    assert table.loc["pf", list(growth._fields)].tolist() == pytest.approx(growth, nan_ok=True)
+    policies = tables["policies"].set_index("policy")["loop_growth"]
+    assert policies["pf"] == pytest.approx(table.loc["pf", "followed"], nan_ok=True)
 
 
 def test_the_worst_robot_is_the_one_that_grows(tiny: Scenario) -> None:
@@ -119,8 +129,22 @@ def test_the_worst_robot_is_the_one_that_grows(tiny: Scenario) -> None:
     steps = np.ones((400, 2), np.uint32)
     steps[:, 1] = np.resize(np.repeat([1, 12], 20), 400)
     counts = transitions(steps, tiny, 0.01)
-    assert counts[0, 1, 1] == counts[0].sum() == 199.0
+    assert counts[0][1, 1] == counts[0].sum() == 199.0
     robot, growth = worst_growth(tiny, schedule, counts)
     assert robot == 1
     assert growth == loop_growth(tiny, schedule, counts[1])
     assert growth.nominal > 1.0
+
+
+def test_growth_is_of_the_truth_and_not_of_beliefs(tiny: Scenario) -> None:
+    """Actuators that are slower than believed; a filter whose stamps are wrong promises nothing."""
+    schedule = _schedule(tiny)
+    counts = np.zeros((13, 13))
+    counts[4, 4] = 100.0
+    slow = replace(tiny, robot=replace(tiny.robot, actuator_lag_s=0.2))
+    believed = replace(slow, control=replace(slow.control, believed_lag_s=0.1))
+    assert loop_growth(believed, schedule, counts) == loop_growth(slow, schedule, counts)
+    assert loop_growth(slow, schedule, counts) != loop_growth(tiny, schedule, counts)
+    assert separates(tiny)
+    assert not separates(replace(tiny, control=replace(tiny.control, stamp_error_samples=1)))
+    assert not separates(believed)

@@ -57,7 +57,6 @@ LOOP_CELLS = {"gain_cells", "figX_gain_cells"}
             GAINS
             | GRID
             | SWEPT_GAINS
-            | LOOP_CELLS
             | {"generalisation", "figX_generalise", "bound"}
             | {"figX_bound"},
         ),

@@ -183,6 +183,8 @@ def _growth(log: LogReader) -> list[str]:
     except (ValueError, LookupError, TypeError, YAMLError):  # none over the network, or another's
         return []
     word = "shrinks" if growth.in_force < 1.0 else "GROWS"
+    if math.isnan(growth.in_force):
+        word = "not known"
     return [
         "",
         f"second moment of the loop over its delays, robot {robot} the worst: {word}, factor "

@@ -13,6 +13,7 @@ from typing import NamedTuple, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_array
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import ArpackNoConvergence, LinearOperator, eigs
 
@@ -27,6 +28,12 @@ UNCOUPLED = 1e-7
 """Entries below this share of the largest one are no coupling: they are rounding of a solver."""
 
 
+LONGEST_COUNTED = 1000
+"""Samples: loops with such delays are not followed, and their transitions take no memory."""
+LARGEST = 3_000_000
+"""Entries of all second moments beyond which they are not followed."""
+
+
 class Chain(NamedTuple):
     """Loops that follow each other: the delay and the entry of the gains in force in each state."""
 
@@ -35,38 +42,47 @@ class Chain(NamedTuple):
     transition: FloatArray  # (S, S), rows add up to 1
 
 
-def chain_of_counts(counts: npt.ArrayLike, *, hold_samples: SupportsIndex = 0) -> Chain:
-    """Return the chain of delays 0..T that followed each other so often, counts (T + 1, T + 1).
+def chain_of_counts(
+    counts: npt.ArrayLike,
+    *,
+    hold_samples: SupportsIndex = 0,
+    max_entry: SupportsIndex | None = None,
+) -> Chain:
+    """Return the chain of delays 0..D that followed each other so often, counts (D + 1, D + 1).
 
     `hold_samples`: for how long a gain for a longer delay is kept (`hold_step`), which makes more
-    states of each delay. Delays that never occurred are left out; one after which nothing was seen
-    stays. ValueError if counts are negative or all are 0.
+    states of each delay. `max_entry`: the longest delay that has a gain, which is in force at
+    longer ones too; every delay has one unless given. Delays that never occurred are left out, and
+    so are those after which none followed, such as the last of a run. ValueError if counts are
+    negative or no delay recurs.
     """
     counted = as_matrix("counts", counts)
-    if counted.shape[0] != counted.shape[1] or (counted < 0.0).any() or not counted.any():
-        raise ValueError("counts must be square, at least 0, and not all 0")
-    seen = np.flatnonzero(counted.sum(axis=0) + counted.sum(axis=1))
-    follow = {int(i): np.flatnonzero(counted[i]).tolist() or [int(i)] for i in seen}
+    if counted.shape[0] != counted.shape[1] or (counted < 0.0).any():
+        raise ValueError("counts must be square and at least 0")
     hold = as_samples("hold_samples", hold_samples)
+    last = len(counted) - 1 if max_entry is None else as_samples("max_entry", max_entry)
+    while len(ends := np.flatnonzero(counted.any(axis=0) & ~counted.any(axis=1))):
+        counted[:, ends] = 0.0
+    if not counted.any():
+        raise ValueError("counts have no delay that recurs")
 
     def entered(delay: int, entry: int = 0, kept: int = 0) -> tuple[int, int, int]:
         """Return a state: delay, entry in force, samples for which that has to be kept."""
-        held, remaining = hold_step(entry, kept, delay, hold)
+        held, remaining = hold_step(entry, kept, min(delay, last), hold)
         return delay, int(held), int(remaining)
 
-    waiting = [entered(int(delay)) for delay in seen]
+    waiting = [entered(int(delay)) for delay in np.flatnonzero(counted.any(axis=1))]
     places = {state: place for place, state in enumerate(waiting)}
     arrows: list[tuple[int, int, float]] = []
     while waiting:
         state = waiting.pop()
-        total = counted[state[0]].sum()
-        for delay in follow[state[0]]:
+        row = counted[state[0]]
+        for delay in np.flatnonzero(row).tolist():
             after = entered(delay, state[1], state[2])
             if after not in places:
                 places[after] = len(places)
                 waiting.append(after)
-            share = counted[state[0], delay] / total if total else 1.0
-            arrows.append((places[state], places[after], share))
+            arrows.append((places[state], places[after], row[delay] / row.sum()))
     transition = np.zeros((len(places), len(places)))
     for start, end, share in arrows:
         transition[start, end] += share
@@ -74,11 +90,24 @@ def chain_of_counts(counts: npt.ArrayLike, *, hold_samples: SupportsIndex = 0) -
     return Chain(delays, entries, transition)
 
 
-def count_transitions(delays: npt.ArrayLike, max_delay_steps: SupportsIndex) -> FloatArray:
-    """Count how often a delay followed another in sequences (samples, runs), capped at T_max."""
-    steps = np.minimum(np.array(delays, dtype=np.int64), as_samples("T_max", max_delay_steps))
-    counts = np.zeros((as_samples("T_max", max_delay_steps) + 1,) * 2)
-    np.add.at(counts, (steps[:-1].ravel(), steps[1:].ravel()), 1.0)
+def count_transitions(delays: npt.ArrayLike) -> FloatArray:
+    """Count how often a delay followed another in sequences of samples, shape (samples, runs).
+
+    Where a delay is beyond `LONGEST_COUNTED` nothing is counted: shape (1, 1).
+    """
+    steps = np.array(delays, dtype=np.int64)
+    pairs = steps[:-1].ravel(), steps[1:].ravel()
+    return transition_counts(*pairs, np.ones(pairs[0].size))
+
+
+def transition_counts(start: npt.ArrayLike, end: npt.ArrayLike, times: npt.ArrayLike) -> FloatArray:
+    """Return the matrix of transitions that were seen so many times, as `count_transitions`."""
+    places = np.array([start, end], dtype=np.int64)
+    longest = int(places.max(initial=0))
+    if longest > LONGEST_COUNTED:
+        return np.zeros((1, 1))
+    counts = np.zeros((longest + 1, longest + 1))
+    np.add.at(counts, (places[0], places[1]), times)
     return counts
 
 
@@ -94,7 +123,8 @@ def second_moment_growth(
     The loop is x(k+1) = A x(k) + B u(k), u(k) = -K_e x(k-d) - sum_i H_{e,i} u(k-1-i), with the
     delay d and the entry e of the chain's state; `gains` (entries, m, n), `input_gains` (entries,
     inputs, m, m), the newest first. Parts of the plant that do not act on each other count each by
-    itself: the factor is that of the part that grows most.
+    itself: the factor is that of the part that grows most. ValueError where there are too many
+    states or delays are too long for it to be found.
     """
     A, B, _ = as_plant(A, B, np.array(gains)[0])
     tables = np.array(gains, dtype=np.float64)
@@ -106,12 +136,8 @@ def second_moment_growth(
     for states, inputs in _parts(A, B, tables, memory):
         own = np.ix_(range(len(tables)), inputs, states)
         past = memory[:, :, inputs][:, :, :, inputs]
-        modes = [
-            _lifted(A[np.ix_(states, states)], B[np.ix_(states, inputs)], tables[own], past, d, e,
-                    int(chain.delays.max()))
-            for d, e in zip(chain.delays.tolist(), chain.entries.tolist(), strict=True)
-        ]  # fmt: skip
-        grown = max(grown, _growth(np.stack(modes), chain.transition))
+        plant = A[np.ix_(states, states)], B[np.ix_(states, inputs)]
+        grown = max(grown, _growth(*plant, tables[own], past, chain))
     return grown
 
 
@@ -134,49 +160,68 @@ def _parts(
     return [([*own[own < n]], [*(own[own >= n] - n)]) for own in found if (own < n).any()]
 
 
+class _Loops(NamedTuple):
+    """Loops on [x(k), ..., x(k-T), u(k-1), ...]: what is new, and what moves down by a sample."""
+
+    rows: FloatArray  # (S, r, N) of the new values
+    new: npt.NDArray[np.int64]  # (r,) their places
+    moved: npt.NDArray[np.int64]  # (N - r,) places of the others
+    source: npt.NDArray[np.int64]  # (N - r,) where they were
+
+
 def _lifted(
-    A: FloatArray,
-    B: FloatArray,
-    gains: FloatArray,
-    memory: FloatArray,
-    delay: int,
-    entry: int,
-    longest: int,
-) -> FloatArray:
-    """Return the loop on [x(k), ..., x(k-T), u(k-1), ...]."""
+    A: FloatArray, B: FloatArray, gains: FloatArray, memory: FloatArray, chain: Chain
+) -> _Loops:
     n, m = B.shape
-    states, size = n * (longest + 1), n * (longest + 1) + m * memory.shape[1]
-    u = np.zeros((m, size))
-    u[:, n * delay : n * (delay + 1)] = -gains[entry]
-    for place in range(memory.shape[1]):
-        u[:, states + m * place : states + m * (place + 1)] = -memory[entry, place]
-    lifted = np.zeros((size, size))
-    lifted[n:states, : states - n] = np.eye(states - n)
-    lifted[:n, :n] = A
-    lifted[:n] += B @ u
-    if size > states:
-        lifted[states : states + m] = u
-        lifted[states + m :, states : size - m] = np.eye(size - states - m)
-    return lifted
+    states = n * (int(chain.delays.max()) + 1)
+    size = states + m * memory.shape[1]
+    count = len(chain.delays)
+    if count * size**2 > LARGEST:
+        raise ValueError(
+            f"the growth of {count} second moments of {size} x {size} is not followed: at most "
+            f"{LARGEST} entries"
+        )
+    rows = np.zeros((count, n + (m if size > states else 0), size))
+    for place, (delay, entry) in enumerate(zip(chain.delays, chain.entries, strict=True)):
+        u = np.zeros((m, size))
+        u[:, n * delay : n * (delay + 1)] = -gains[entry]
+        for back in range(memory.shape[1]):
+            u[:, states + m * back : states + m * (back + 1)] = -memory[entry, back]
+        rows[place, :n] = B @ u
+        rows[place, :n, :n] += A
+        rows[place, n:] = u[: rows.shape[1] - n]
+    places = np.arange(size)
+    new = np.concatenate([places[:n], places[states : states + m]])
+    moved = np.concatenate([places[n:states], places[states + m :]])
+    source = np.concatenate([places[: states - n], places[states : max(states, size - m)]])
+    return _Loops(rows, new, moved, source)
 
 
-def _growth(modes: FloatArray, transition: FloatArray) -> float:
-    """Return the spectral radius of Q_j <- sum_i p_ij M_i Q_i M_i^T; modes (S, N, N)."""
-    count, size, _ = modes.shape
-    shape = count, size, size
+def _growth(
+    A: FloatArray, B: FloatArray, gains: FloatArray, memory: FloatArray, chain: Chain
+) -> float:
+    """Return the spectral radius of Q_j <- sum_i p_ij M_i Q_i M_i^T; Q has shape (S, N, N)."""
+    rows, new, moved, source = _lifted(A, B, gains, memory, chain)
+    count, _, size = rows.shape
+    shape, length = (count, size, size), count * size * size
+    arrive = csr_array(chain.transition.T)
 
-    def step(moments: FloatArray) -> FloatArray:
-        moved = modes @ moments.reshape(shape) @ modes.transpose(0, 2, 1)
-        return np.asarray(np.tensordot(transition, moved, axes=([0], [0])).ravel())
+    def step(values: FloatArray) -> FloatArray:
+        moments = values.reshape(shape)
+        columns = rows.transpose(0, 2, 1)
+        left, right, after = rows @ moments, moments @ columns, np.empty(shape)
+        after[:, moved[:, None], moved] = moments[:, source[:, None], source]
+        after[:, new[:, None], moved] = left[:, :, source]
+        after[:, moved[:, None], new] = right[:, source]
+        after[:, new[:, None], new] = left @ columns
+        return np.asarray((arrive @ after.reshape(count, -1)).ravel())
 
-    length = count * size * size
     if length <= LARGEST_DENSE:
         matrix = np.stack([step(unit) for unit in np.eye(length)], axis=1)
         return float(np.abs(np.linalg.eigvals(matrix)).max())
     # A map that keeps moments definite has its spectral radius as an eigenvalue. Shifted by about
     # as much it is alone at the edge, also where delays are periodic and others are as large.
-    moments = np.broadcast_to(np.eye(size), shape).ravel() / count
-    shift = 0.0
+    moments, shift = np.broadcast_to(np.eye(size), shape).ravel() / count, 0.0
     for _ in range(POWER_STEPS):
         moments = step(moments)
         shift = float(np.linalg.norm(moments))
@@ -186,7 +231,7 @@ def _growth(modes: FloatArray, transition: FloatArray) -> float:
     )
     try:
         largest = eigs(
-            operator, k=1, which="LR", v0=moments, tol=1e-7, maxiter=300, return_eigenvectors=False
+            operator, k=1, which="LR", v0=moments, ncv=24, tol=1e-6, return_eigenvectors=False
         )
     except ArpackNoConvergence as error:
         raise ValueError("the growth of the second moment was not found") from error

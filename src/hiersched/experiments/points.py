@@ -210,8 +210,8 @@ def experiments(scenario: Scenario) -> dict[str, Experiment]:
             partial(_forced, scenario, "gain_grid", "grid", _grid_points),
             partial(_forced, scenario, "gain_sampling_s", "sampling_s", _sampling_points),
             partial(_forced, scenario, "gain_noise", "noise", _noise_points),
-            partial(_forced, scenario, LOOP_CELLS, "cell", _loop_points),
         ]
+    builders.append(partial(_forced, scenario, LOOP_CELLS, "cell", _loop_points))
     faults: list[str] = []
     found = []
     for build in builders:
@@ -488,7 +488,10 @@ def _method_scenario(scenario: Scenario, method: GainMethod) -> Scenario:
     either = hold_of(method) != hold_of(own.method)
     hold_samples = hold_of(method) if either else own.hold_samples
     control = replace(own, method=method, loop=loop, hold_samples=hold_samples)
-    return replace(scenario, control=control)
+    if method != "lqg":
+        control = replace(control, link="measurements", known_motion=False)
+    robot = replace(scenario.robot, superseding="none")  # no packet waits under forced delays
+    return replace(scenario, control=control, robot=robot)
 
 
 def _delays(

@@ -55,9 +55,21 @@ class Setup:
             control=np.zeros((*of_robot, m)),
             held=np.zeros((*of_robot, 2), np.int64),
             filter=filter_memory(
-                of_robot, samples, size, m, is_known=scenario.control.known_motion
+                of_robot,
+                samples,
+                size,
+                m,
+                max(scenario.playout_steps, scenario.packet_horizon),
+                is_known=scenario.control.known_motion,
             ),
-            link=link_memory(of_robot, samples, m, scenario.playout_steps, scenario.packet_horizon),
+            link=link_memory(
+                of_robot,
+                samples,
+                m,
+                scenario.playout_steps,
+                scenario.packet_horizon,
+                scenario.latency_steps,
+            ),
         )
 
     def first_value(self, model: Model, name: str) -> int:

@@ -19,7 +19,7 @@ from hiersched.models.plant.reference import period_s, tasks_of
 from hiersched.policies.find import UNTRAINED, ImportedPolicy, untrained_names
 from hiersched.scenario.fault_text import own_faults
 from hiersched.scenario.reference_file import reference_faults
-from hiersched.scenario.schema import Family, Learning, Scenario, model_at
+from hiersched.scenario.schema import Family, Learning, Scenario, delay_steps, model_at
 
 LEAST_SNR_DB = -80.0
 """Below it, a PRB in a deep fade could carry exactly 0 bit/s, and no logarithm of a rate exists."""
@@ -60,6 +60,8 @@ RESERVED_LEARNERS = ("classical", "gains")
 """Names of jobs of policies that are not trained."""
 NETWORK_METHODS = ("predictor", "latency_compensated", "h2", "lqg")
 """Gain methods for plants whose whole feedback crosses the network."""
+OF_METHODS = ("control.method", "control.gain", "control.loop", "control.hold_samples")
+"""Keys that follow from the method of a cell."""
 LOOP_SECTIONS = ("robot", "control")
 """Sections whose keys the cells of the gain study vary."""
 PREDICTING = ("predictor", "lqg")
@@ -283,6 +285,15 @@ def _control(scenario: Scenario) -> list[str]:
             f"{scenario.plant.model!r}",
         ),
         (
+            control.known_motion and control.method != "lqg",
+            "control.known_motion = true: needs control.method = 'lqg', whose filter goes by it",
+        ),
+        (
+            scenario.playout_steps > MAX_DELAY_STEPS,
+            f"control.playout_s = {control.playout_s}: {scenario.playout_steps} samples of "
+            f"control.sampling_s, at most {MAX_DELAY_STEPS}",
+        ),
+        (
             control.link != "measurements" and control.method != "lqg",
             f"control.link = {control.link!r}: needs control.method = 'lqg' (commands for a time "
             "to come need a prediction)",
@@ -292,12 +303,12 @@ def _control(scenario: Scenario) -> list[str]:
             f"robot.superseding = {scenario.robot.superseding!r}: must be none with control.link = "
             "'playout' (every command has a sample of its own)",
         ),
-    )[:1] or _filter(scenario)
+    )[:1] or _asked("plant", _filter, scenario)
 
 
 def _filter(scenario: Scenario) -> list[str]:
     """Say why a plant has no filter where its method needs one."""
-    if scenario.control.method != "lqg":
+    if scenario.control.method != "lqg" or scenario.plant.faults(scenario):
         return []
     from hiersched.control import design_lqg
 
@@ -553,10 +564,26 @@ def _gain_study(scenario: Scenario) -> list[str]:
         if cell.methods is not None:
             faults += _once(f"{place}.methods", cell.methods, "method")
         faults += [
-            f"{place}.values.{key}: must be a key of {', '.join(LOOP_SECTIONS)}"
+            f"{place}.values.{key}: must be a key of {', '.join(LOOP_SECTIONS)}, and none of "
+            f"{', '.join(OF_METHODS)}"
             for key in cell.values
-            if key.partition(".")[0] not in LOOP_SECTIONS or key == "robot.reference_file"
+            if key.partition(".")[0] not in LOOP_SECTIONS
+            or key == "robot.reference_file"
+            or key in OF_METHODS
         ]
+        longest = delay_steps(cell.delay_s, scenario.control.sampling_s)
+        faults += _broken(
+            (
+                cell.methods is None and not study.cell_methods,
+                f"{place}.methods = null: must name one or more, since gain_study.cell_methods "
+                "= []",
+            ),
+            (
+                longest > MAX_DELAY_STEPS,
+                f"{place}.delay_s = {cell.delay_s}: {longest} samples of control.sampling_s, at "
+                f"most {MAX_DELAY_STEPS}",
+            ),
+        )
     faults += _once("gain_study.cell_methods", study.cell_methods, "method")
     for key in ("violation_delay_s", "calm_delay_s"):
         low, high = getattr(study, key)

@@ -165,7 +165,7 @@ class Control(_Strict):
     hold_samples: Annotated[int, Field(ge=0)]
     link: Literal["measurements", "playout", "packetised"]
     playout_s: Positive
-    packet_samples: Count
+    packet_samples: Annotated[int, Field(ge=1, le=200)]
     command_hold_s: NonNegative
     known_motion: bool
     stamp_error_samples: Annotated[int, Field(ge=-1000, le=1000)]
@@ -415,6 +415,11 @@ class Scenario(_Strict):
         if not self.sends_commands or self.control.link != "playout":
             return 0
         return delay_steps(self.control.playout_s, self.control.sampling_s)
+
+    @property
+    def latency_steps(self) -> int:
+        """Control samples of the fixed latency."""
+        return delay_steps(self.robot.core_latency_s, self.control.sampling_s)
 
     @property
     def packet_horizon(self) -> int:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hiersched.control import GainSchedule
-from hiersched.control.second_moments import (
+from hiersched.control import (
+    DelayedPlant,
+    GainSchedule,
+    Lqg,
     chain_of_counts,
     count_transitions,
     second_moment_growth,
@@ -18,7 +23,7 @@ from hiersched.simulator.loop_gains import plant_of
 
 
 class LoopGrowth(NamedTuple):
-    """Factors a sample; below 1 the second moment of the linear loop shrinks."""
+    """Factors a sample; below 1 the second moment of the linear loop shrinks; NaN: not known."""
 
     nominal: float  # of the nominal gain
     followed: float  # of the scenario's gains, each delay's at once
@@ -36,56 +41,104 @@ def sampled_delays(
     return np.asarray(steps[slots], dtype=np.int64)
 
 
+def true_plant(scenario: Scenario) -> DelayedPlant:
+    """Return the linear plant that runs, whatever the controller believes of it.
+
+    ValueError if not all of its feedback crosses the network.
+    """
+    truth = replace(scenario, control=replace(scenario.control, believed_lag_s=None))
+    plant = plant_of(truth)
+    if plant.kind != "network":
+        raise ValueError(f"control.loop = {scenario.control.loop!r}: must be 'network'")
+    return plant
+
+
+def separates(scenario: Scenario) -> bool:
+    """Whether a filter's inputs, stamps and beliefs are right, so that separation holds."""
+    control = scenario.control
+    beliefs = "actuator_lag_s", "slip_speed_mps", "slip_turn_rate_radps", "slip_time_s"
+    return (
+        control.link == "measurements"
+        and control.stamp_error_samples == 0
+        and all(scenario.believed(key) == getattr(scenario.robot, key) for key in beliefs)
+    )
+
+
+def filter_growth(scenario: Scenario, lqg: Lqg) -> float:
+    """Return that of a loop with a filter where separation holds, else NaN."""
+    return lqg.growth if separates(scenario) else math.nan
+
+
 def loop_growth(
     scenario: Scenario, schedule: GainSchedule, counts: NDArray[np.float64]
 ) -> LoopGrowth:
     """Return the growth over a robot's delays, as counted by `count_transitions`.
 
-    ValueError if not all feedback crosses the network, or nothing was counted.
+    At delays beyond the longest with a gain that one is in force, on the measurement that there is.
+    ValueError if not all feedback crosses the network.
     """
-    plant, control = plant_of(scenario), scenario.control
-    chain = chain_of_counts(counts)
+    control = scenario.control
     fixed = np.repeat(schedule.nominal[None], len(schedule.gains), axis=0)
-    nominal = second_moment_growth(plant.A, plant.B, fixed, chain)
-    followed = in_force = _followed(scenario, schedule, counts)
-    if control.gain == "nominal":
-        in_force = nominal
-    elif control.hold_samples and schedule.lqg is None:
-        held = chain_of_counts(counts, hold_samples=control.hold_samples)
-        tables = schedule.gains, held, schedule.input_gains
-        in_force = second_moment_growth(plant.A, plant.B, *tables)
-    return LoopGrowth(nominal, followed, in_force)
+    nominal = _growth(scenario, counts, fixed)
+    if schedule.lqg is not None:
+        followed = in_force = filter_growth(scenario, schedule.lqg)
+    else:
+        tables = schedule.gains, schedule.input_gains
+        followed = in_force = _growth(scenario, counts, *tables)
+        if control.hold_samples:
+            in_force = _growth(scenario, counts, *tables, hold_samples=control.hold_samples)
+    return LoopGrowth(nominal, followed, nominal if control.gain == "nominal" else in_force)
+
+
+def _growth(
+    scenario: Scenario,
+    counts: NDArray[np.float64],
+    gains: NDArray[np.float64],
+    input_gains: NDArray[np.float64] | None = None,
+    *,
+    hold_samples: int = 0,
+) -> float:
+    plant = true_plant(scenario)
+    try:
+        chain = chain_of_counts(counts, hold_samples=hold_samples, max_entry=len(gains) - 1)
+        return second_moment_growth(plant.A, plant.B, gains, chain, input_gains)
+    except ValueError:  # no delay recurs, or they are too long
+        return math.nan
+
+
+def unheld_growths(
+    scenario: Scenario, schedule: GainSchedule, counts: Sequence[NDArray[np.float64]]
+) -> list[float]:
+    """Return the growth of every robot's loop in force, but for a hold of its gains.
+
+    `counts` are those of `count_transitions` for every robot. Errors as of `loop_growth`.
+    """
+    gains, inputs = schedule.gains, schedule.input_gains
+    if scenario.control.gain == "nominal":
+        gains, inputs = np.repeat(schedule.nominal[None], len(gains), axis=0), 0.0 * inputs
+    elif schedule.lqg is not None:
+        return [filter_growth(scenario, schedule.lqg)] * len(counts)
+    return [_growth(scenario, own, gains, inputs) for own in counts]
 
 
 def worst_growth(
-    scenario: Scenario, schedule: GainSchedule, counts: NDArray[np.float64]
+    scenario: Scenario, schedule: GainSchedule, counts: Sequence[NDArray[np.float64]]
 ) -> tuple[int, LoopGrowth]:
-    """Return the robot whose loop grows most with gains that follow its delays, and how.
+    """Return the robot of the greatest of `unheld_growths`, one that is not known first, and how.
 
-    `counts` (R, T + 1, T + 1) are those of `count_transitions`. Errors as of `loop_growth`.
+    Arguments and errors as there.
     """
-    growths = [_followed(scenario, schedule, own) for own in counts]
-    robot = int(np.argmax(growths))
+    growths = unheld_growths(scenario, schedule, counts)
+    robot = int(np.argmax(np.nan_to_num(growths, nan=np.inf)))
     return robot, loop_growth(scenario, schedule, counts[robot])
-
-
-def _followed(scenario: Scenario, schedule: GainSchedule, counts: NDArray[np.float64]) -> float:
-    plant = plant_of(scenario)
-    if plant.kind != "network":
-        raise ValueError(f"control.loop = {scenario.control.loop!r}: must be 'network'")
-    if schedule.lqg is not None:
-        return schedule.lqg.growth
-    tables = schedule.gains, chain_of_counts(counts), schedule.input_gains
-    return second_moment_growth(plant.A, plant.B, *tables)
 
 
 def transitions(
     delay_steps: NDArray[Any], scenario: Scenario, slot_s: float
-) -> NDArray[np.float64]:
-    """Count the transitions of every robot's delay from sample to sample: (R, T + 1, T + 1).
+) -> list[NDArray[np.float64]]:
+    """Count the transitions of every robot's delay from sample to sample (`count_transitions`).
 
     `delay_steps` (T, R) are those of slots.
     """
-    longest = scenario.max_delay_steps
     delays = sampled_delays(delay_steps, scenario, slot_s)
-    return np.stack([count_transitions(own[:, None], longest) for own in delays.T])
+    return [count_transitions(own[:, None]) for own in delays.T]

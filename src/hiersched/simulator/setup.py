@@ -13,7 +13,7 @@ from hiersched.models.plant.command_link import LINKS, NO_LINK, LinkConstants
 from hiersched.models.plant.estimator import FilterConstants, no_filter
 from hiersched.models.plant.feedback import LoopConstants
 from hiersched.models.queue.fifo import SUPERSEDING
-from hiersched.scenario.schema import Scenario, delay_steps
+from hiersched.scenario.schema import Scenario
 from hiersched.simulator.loop_gains import Gains
 
 
@@ -201,6 +201,7 @@ def _filter_constants(scenario: Scenario, gains: Gains) -> FilterConstants:
         measurement_variance=np.array(lqg.model.measurement_variance),
         gain=np.array(lqg.filter_gain, order="C"),
         regulator=np.array(lqg.regulator),
+        straight=np.array(lqg.model.A),
         covariance=np.array(lqg.covariance),
         position_states=np.array(scenario.plant.position_states(), np.int64),
         first_value=_first_value(scenario, "plant/estimate_0"),
@@ -214,7 +215,7 @@ def _link_constants(scenario: Scenario) -> LinkConstants:
     control = scenario.control
     return LinkConstants(
         kind=LINKS.index(control.link),
-        latency_steps=delay_steps(scenario.robot.core_latency_s, control.sampling_s),
+        latency_steps=scenario.latency_steps,
         playout_steps=scenario.playout_steps,
         horizon=scenario.packet_horizon,
         hold_steps=int(control.command_hold_s / control.sampling_s + 1e-9),

@@ -17,7 +17,7 @@ rates
     logged run of the evaluation.
 chains
     A transition of a robot's delay from one control sample to the next, in an evaluation's logged
-    run: how often (`count`), and how often from one beyond the longest with a gain (`capped`).
+    run, and its `count`.
 delays
     A time: `share` of the delivered URLLC packets of such a run that took longer.
 task
@@ -315,27 +315,14 @@ def _rates(run: RunSlots, scenario: Scenario) -> pd.DataFrame:
 
 
 def _chains(run: RunSlots, scenario: Scenario) -> pd.DataFrame:
-    """Count how often a robot's delay was followed by another, sample by sample, capped at T_max.
-
-    `capped`: how many of these samples were beyond it.
-    """
-    sampled = sampled_delays(run.measured("delay_steps"), scenario, run.slot_s)
-    T = scenario.max_delay_steps
+    """Count how often a robot's delay was followed by another, sample by sample."""
+    delays = sampled_delays(run.measured("delay_steps"), scenario, run.slot_s)
     frames = []
-    for robot, delays in enumerate(sampled.T):
-        start, end = np.minimum(delays[:-1], T), np.minimum(delays[1:], T)
-        place, count = np.unique(start * (T + 1) + end, return_counts=True)
-        capped = np.bincount(start * (T + 1) + end, delays[:-1] > T, (T + 1) ** 2)[place]
+    for robot, own in enumerate(delays.T):
+        pairs, count = np.unique(np.stack([own[:-1], own[1:]]), axis=1, return_counts=True)
+        start, end = pairs
         frames.append(
-            pd.DataFrame(
-                {
-                    "robot": robot,
-                    "delay_steps": place // (T + 1),
-                    "next_steps": place % (T + 1),
-                    "count": count,
-                    "capped": capped.astype(np.int64),
-                }
-            )
+            pd.DataFrame({"robot": robot, "delay_steps": start, "next_steps": end, "count": count})
         )
     return pd.concat(frames, ignore_index=True)
 

@@ -46,7 +46,7 @@ class LinkMemory(NamedTuple):
     """What the links of E worlds of R robots remember; empty where measurements cross."""
 
     assumed: NDArray[np.float64]  # (E, R, places, m) inputs that the controller takes for applied
-    packets: NDArray[np.float64]  # (E, R, H + 1, H + 1, m) ring of the newest: commands by age
+    packets: NDArray[np.float64]  # (E, R, places, H + 1, m) ring of the newest: commands by age
     newest: NDArray[np.int64]  # (E, R) packets up to the newest that has come
     age: NDArray[np.int64]  # (E, R, samples + 1) samples, of the packet that was played
     ahead: NDArray[np.int64]  # (E, R) samples from now to the first command of the newest packet
@@ -59,14 +59,22 @@ NO_LINK = LinkConstants(MEASUREMENTS, 0, 0, 0, 0, 0)
 
 
 def link_memory(
-    of_robot: tuple[int, int], samples: int, inputs: int, playout_steps: int, horizon: int
+    of_robot: tuple[int, int],
+    samples: int,
+    inputs: int,
+    playout_steps: int,
+    horizon: int,
+    latency_steps: int,
 ) -> LinkMemory:
-    """Return the memory of links; a horizon of 0 is that of no packets."""
+    """Return the memory of links; a horizon of 0 is that of no packets.
+
+    Packets are kept for as long as the controller asks what the robot played of them.
+    """
     places = samples + 1 if playout_steps or horizon else 0
-    ring = horizon + 1 if horizon else 0
+    ring = horizon + 1 + latency_steps if horizon else 0
     return LinkMemory(
         assumed=np.zeros((*of_robot, places + max(playout_steps, horizon), inputs)),
-        packets=np.zeros((*of_robot, ring, ring, inputs)),
+        packets=np.zeros((*of_robot, ring, horizon + 1, inputs)),
         newest=np.zeros(of_robot, np.int64),
         age=np.zeros((*of_robot, places), np.int64),
         ahead=np.zeros(of_robot, np.int64),
@@ -107,7 +115,7 @@ def assume_inputs(loop: Any, memory: Any, sample: int, env: int, robot: int) -> 
             for i in range(assumed.shape[0]):
                 assumed[i] = 0.0
         elif played <= link.horizon:
-            copy(own.packets[env, robot, made % (link.horizon + 1), played], assumed)
+            copy(own.packets[env, robot, made % own.packets.shape[2], played], assumed)
         else:
             copy(memory.commands[env, robot, first - 1], assumed)
 
@@ -122,7 +130,7 @@ def send_commands(
     if link.kind == PLAYOUT:
         _regulate(loop, predicted, limits, own.assumed[env, robot, sample + ahead])
         return
-    packet = own.packets[env, robot, sample % (link.horizon + 1)]
+    packet = own.packets[env, robot, sample % own.packets.shape[2]]
     for age in range(ahead):
         copy(own.assumed[env, robot, sample + age], packet[age])
     copy(predicted, me.planned)
@@ -169,7 +177,7 @@ def play_command(
     else:
         in_time = newest >= 0 and sample - newest <= link.horizon
         if in_time:
-            packet = own.packets[env, robot, newest % (link.horizon + 1)]
+            packet = own.packets[env, robot, newest % own.packets.shape[2]]
             copy(packet[sample - newest], control)
     if in_time:
         own.missing[env, robot] = 0

@@ -84,17 +84,24 @@ def discretise_noise(A_c: npt.ArrayLike, density: npt.ArrayLike, sampling_s: flo
     """Return the covariance (n, n) that white noise adds to the state in one interval.
 
     It is the integral of exp(A_c s) Q exp(A_c s)^T over `sampling_s`, Q the noise's spectral
-    `density` (n, n) a second: from the exponential of [[-A_c, Q], [0, A_c^T]] h (Van Loan 1978).
+    `density` (n, n) a second: from the exponential of [[-A_c, Q], [0, A_c^T]] (Van Loan 1978) over
+    so short a time that no entry grows, doubled from there by W(2h) = W(h) + A(h) W(h) A(h)^T.
     """
     state = as_square("A_c", A_c)
     n = len(state)
     noise = as_square("density", density, n)
     as_positive("sampling_s", sampling_s)
+    size = float(np.abs(state).sum(axis=1).max()) * sampling_s
+    halvings = max(0, math.ceil(math.log2(size)) + 1) if size > 0.0 else 0
     block = np.zeros((2 * n, 2 * n))
     block[:n, :n], block[:n, n:], block[n:, n:] = -state, noise, state.T
-    transition = np.asarray(expm(block * sampling_s), dtype=np.float64)
-    covariance = transition[n:, n:].T @ transition[:n, n:]
-    return (covariance + covariance.T) / 2.0
+    transition = np.asarray(expm(block * (sampling_s / 2.0**halvings)), dtype=np.float64)
+    A = transition[n:, n:].T
+    covariance = A @ transition[:n, n:]
+    for _ in range(halvings):
+        covariance = covariance + A @ covariance @ A.T
+        A = A @ A
+    return np.asarray((covariance + covariance.T) / 2.0, dtype=np.float64)
 
 
 def discretise_alike(

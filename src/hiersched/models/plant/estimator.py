@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hiersched.core.compiled import inner_kernel
 from hiersched.core.numerics import copy
 
-MOTION_STEP_RADPS, MAX_TURN_RATE_RADPS = 0.05, 12.8
+MOTION_STEP_RADPS, MAX_TURN_RATE_RADPS = 0.1, 25.6
 """Models of known motion are there for these turn rates of the reference, to either side."""
 
 
@@ -46,6 +46,7 @@ class FilterConstants(NamedTuple):
     measurement_variance: NDArray[np.float64]  # (n,)
     gain: NDArray[np.float64]  # (N, n) of the stationary filter
     regulator: NDArray[np.float64]  # (m, N)
+    straight: NDArray[np.float64]  # (N, N) A of the design, a straight line at its speed
     covariance: NDArray[np.float64]  # (N, N) of the stationary filter's error
     position_states: NDArray[np.int64]  # whose errors make the position error
     first_value: int  # of `estimate_fields` in `state.model_values[env]`
@@ -67,6 +68,7 @@ def no_filter(num_inputs: int) -> FilterConstants:
         measurement_variance=np.zeros(0),
         gain=nothing,
         regulator=np.zeros((num_inputs, 0)),
+        straight=nothing,
         covariance=nothing,
         position_states=np.zeros(0, np.int64),
         first_value=0,
@@ -83,7 +85,7 @@ class FilterMemory(NamedTuple):
     arrived: NDArray[np.bool_]  # (E, R, samples + 1) measurements, where not all arrive
     predicted: NDArray[np.float64]  # (E, R, N) estimate of the last control sample
     spread: NDArray[np.float64]  # (E, R, N, N) covariance of its error, likewise
-    std_by_age: NDArray[np.float64]  # (samples + 1,) of a prediction where all arrive, as known
+    std_by_age: NDArray[np.float64]  # (ages,) of a prediction where all arrive, as known
     num_ages: NDArray[np.int64]  # (1,) of which it is known
     ahead: NDArray[np.float64]  # (N, N) covariance at the last of these
     planned: NDArray[np.float64]  # (N,) and all below: work arrays
@@ -94,9 +96,18 @@ class FilterMemory(NamedTuple):
 
 
 def filter_memory(
-    of_robot: tuple[int, int], samples: int, size: int, inputs: int, *, is_known: bool
+    of_robot: tuple[int, int],
+    samples: int,
+    size: int,
+    inputs: int,
+    ahead: int = 0,
+    *,
+    is_known: bool,
 ) -> FilterMemory:
-    """Return the memory of filters of `size` states: nothing yet."""
+    """Return the memory of filters of `size` states: nothing yet.
+
+    Predictions go up to `ahead` samples beyond the present.
+    """
     states, matrix = (*of_robot, size), (*of_robot, size, size)
     return FilterMemory(
         filtered=np.zeros(of_robot, np.int64),
@@ -106,7 +117,7 @@ def filter_memory(
         arrived=np.zeros((*of_robot, samples + 1 if size else 0), np.bool_),
         predicted=np.zeros(states),
         spread=np.zeros(matrix),
-        std_by_age=np.zeros(samples + 1 if size else 0),
+        std_by_age=np.zeros(samples + 1 + ahead if size else 0),
         num_ages=np.zeros(1, np.int64),
         ahead=np.zeros((size, size)),
         planned=np.zeros(size),
@@ -153,7 +164,11 @@ def _filter(loop: Any, memory: Any, sample: int, newest: int, env: int, robot: i
     history, commands = memory.history[env, robot], memory.commands[env, robot]
     estimate, covariance = own.estimate[env, robot], own.covariance[env, robot]
     A, B = me.A[0], me.B[0]
-    for stamp in range(own.filtered[env, robot], min(sample, newest + loop.stamp_error) + 1):
+    last = min(sample, newest + loop.stamp_error)
+    if not me.all_arrive:  # behind the newest that is there others may still come
+        while last >= 0 and not own.arrived[env, robot, max(last - loop.stamp_error, 0)]:
+            last -= 1
+    for stamp in range(own.filtered[env, robot], last + 1):
         if stamp > 0:
             if me.is_known:
                 A, B = own.A, own.B
@@ -201,12 +216,12 @@ def note_estimate(
 
 @inner_kernel()
 def _know_ages(me: FilterConstants, memory: FilterMemory, age: int) -> None:
-    """Fill `memory.std_by_age` up to an age in samples."""
+    """Fill `memory.std_by_age` up to an age in samples, as on a straight line."""
     for known in range(memory.num_ages[0], age + 1):
         if known == 0:
             copy(me.covariance.reshape(-1), memory.ahead.reshape(-1))
         else:
-            _spread(me, me.A[0], memory.product, memory.ahead)
+            _spread(me, me.straight, memory.product, memory.ahead)
         memory.std_by_age[known] = _position_std(me, memory.ahead)
         memory.num_ages[0] = known + 1
 
@@ -243,7 +258,7 @@ def form_model(me: FilterConstants, memory: FilterMemory, motion: NDArray[np.flo
     """Put the model of an interval into the work arrays: `motion` (2,) is that of the reference."""
     speed, turn_rate = motion[0], motion[1]
     if not abs(turn_rate) <= MAX_TURN_RATE_RADPS:
-        raise ValueError("a reference turns at more than 12.8 rad/s, which known_motion allows")
+        raise ValueError("a reference turns at more than 25.6 rad/s, which known_motion allows")
     g = np.int64(np.rint((turn_rate + MAX_TURN_RATE_RADPS) / MOTION_STEP_RADPS))
     A, B = memory.A, memory.B
     for i in range(A.shape[0]):

@@ -9,9 +9,15 @@ import pandas as pd
 
 from hiersched.control import simulate_lqg
 from hiersched.control.checks import FloatArray
+from hiersched.control.second_moments import transition_counts
 from hiersched.experiments.points import LOOP_CELLS, STUDY_PLANTS, experiments
 from hiersched.scenario import Scenario, delay_steps
-from hiersched.simulator.loop_growth import worst_growth
+from hiersched.simulator.loop_growth import (
+    filter_growth,
+    separates,
+    unheld_growths,
+    worst_growth,
+)
 from hiersched.study.registry import table
 from hiersched.study.statistics import mean_interval, paired_log_ratio
 from hiersched.study.study import Study
@@ -33,6 +39,8 @@ def filtered_cells(scenario: Scenario) -> dict[str, str]:
     There the filter believes what is, but for how the reference turns.
     """
     cells = scenario.gain_study.cells if has_loop_cells(scenario) else {}
+    if not separates(scenario):
+        return {}
     return {
         name: f"{name}_lqg"
         for name, cell in cells.items()
@@ -154,8 +162,9 @@ def filter_table(study: Study) -> pd.DataFrame:
     "Markov chain of delays measured behind the warm-up, worlds together: below 1 the linear "
     "loop's second moment shrinks. `in_force`: the scenario's own method as it runs; `followed`: "
     "its gains, each delay's at once; `nominal`: the nominal gain; `filter`: the method lqg, "
-    "whatever the delays. `capped_share`: samples beyond the longest delay with a gain, which "
-    "count as that. `grows`: the loop in force grows.",
+    "whatever the delays. `beyond_share`: samples beyond the longest delay with a gain, where that "
+    "gain acts on an older measurement still. A dash: delays too long to tell. `grows`: the loop "
+    "in force grows.",
     reads=("chains", "schedules"),
     when=has_network_loop,
 )
@@ -166,30 +175,38 @@ def moments_table(study: Study) -> pd.DataFrame:
     filtered = _filter_growth(study)
     rows = []
     for policy, own in chains.groupby("policy", sort=False):
-        counts = _counts(own, scenario)
-        user, growth = worst_growth(scenario, schedule, counts)
-        worst, steps = counts[user], np.arange(counts.shape[1])
+        user, growth = worst_growth(scenario, schedule, _counts(own))
+        worst = own[own["robot"] == user]
+        steps, times = worst["delay_steps"], worst["count"]
         rows.append(
             {
                 "policy": policy,
                 "user": user,
-                "mean_delay_steps": float(worst.sum(axis=1) @ steps / worst.sum()),
-                "capped_share": float(own[own["robot"] == user]["capped"].sum() / worst.sum()),
+                "mean_delay_steps": float((steps * times).sum() / times.sum()),
+                "longest_delay_steps": int(steps.max()),
+                "beyond_share": float(times[steps > scenario.max_delay_steps].sum() / times.sum()),
                 **growth._asdict(),
                 "filter": filtered,
-                "grows": growth.in_force >= 1.0,
+                "grows": None if math.isnan(growth.in_force) else growth.in_force >= 1.0,
             }
         )
     return pd.DataFrame(rows)
 
 
-def _counts(chains: pd.DataFrame, scenario: Scenario) -> FloatArray:
-    """Return how often a delay followed another, by user: (R, T + 1, T + 1)."""
-    steps = scenario.max_delay_steps + 1
-    counts = np.zeros((scenario.users.num_urllc, steps, steps))
-    names = "robot", "delay_steps", "next_steps"
-    np.add.at(counts, tuple(chains[name].to_numpy() for name in names), chains["count"].to_numpy())
-    return counts
+def _counts(chains: pd.DataFrame) -> list[FloatArray]:
+    """Return how often each delay of a robot followed another, robot by robot."""
+    names = "delay_steps", "next_steps", "count"
+    return [transition_counts(*(own[name] for name in names)) for _, own in chains.groupby("robot")]
+
+
+def greatest_growths(study: Study) -> dict[str, float]:
+    """Return the growth of each policy's worst loop, without the hold; NaN: not known."""
+    scenario = study.scenario
+    schedule, chains = study.schedule(scenario), study.measures("chains")
+    return {
+        str(policy): float(np.max(unheld_growths(scenario, schedule, _counts(own))))
+        for policy, own in chains.groupby("policy", sort=False)
+    }
 
 
 def _filter_growth(study: Study) -> float:
@@ -197,5 +214,6 @@ def _filter_growth(study: Study) -> float:
     scenario = study.scenario
     if "lqg" not in scenario.gain_study.methods or STUDY_PLANTS["lqg"] != scenario.loop_kind:
         return math.nan
-    lqg = study.schedule(study.point("gain_study", "lqg").scenario).lqg
-    return math.nan if lqg is None else lqg.growth
+    variant = study.point("gain_study", "lqg").scenario
+    lqg = study.schedule(variant).lqg
+    return math.nan if lqg is None else filter_growth(variant, lqg)

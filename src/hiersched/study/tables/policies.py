@@ -40,7 +40,7 @@ from hiersched.study.statistics import (
     probability_of_improvement,
 )
 from hiersched.study.study import Study
-from hiersched.study.tables.loops import has_network_loop, moments_table
+from hiersched.study.tables.loops import greatest_growths, has_network_loop
 from hiersched.study.tables.text import LEARNED_NOTE, NONE_NOTE, RATIO_NOTE
 
 BACKLOG = "mean_square_backlog"
@@ -95,7 +95,8 @@ def _means(runs: pd.DataFrame, names: Iterable[str], scenario: Scenario) -> dict
     "packets that still wait count in the late shares alone. `backlog_over_best`, `improvement`: "
     "mean square backlog over that of the best classical scheduler, and the probability that it "
     f"is less in another world. `loop_growth`: factor a sample of the second moment of the worst "
-    "user's loop, see `second_moments`; 1 or more: it grows. The CSV has more columns. "
+    "user's loop without a hold, see `second_moments`; 1 or more: it grows; a dash: delays too "
+    "long to tell. The CSV has more columns. "
     f"{LEARNED_NOTE}",
     reads=("runs", "chains", "schedules"),
     columns=(
@@ -111,8 +112,7 @@ def policy_table(study: Study) -> pd.DataFrame:
     """Return `policy_rows` and how the second moment of the worst loop grows under each policy."""
     rows = policy_rows(study)
     if has_network_loop(study.scenario):
-        growth = moments_table(study).set_index("policy")["in_force"]
-        rows["loop_growth"] = rows["policy"].map(growth)
+        rows["loop_growth"] = rows["policy"].map(greatest_growths(study))
     return rows
 
 
