@@ -8,16 +8,10 @@ import numpy as np
 import pandas as pd
 
 from hiersched.control import simulate_lqg
-from hiersched.control.checks import FloatArray
-from hiersched.control.second_moments import transition_counts
 from hiersched.experiments.points import LOOP_CELLS, STUDY_PLANTS, experiments
 from hiersched.scenario import Scenario, delay_steps
-from hiersched.simulator.loop_growth import (
-    filter_growth,
-    separates,
-    unheld_growths,
-    worst_growth,
-)
+from hiersched.simulator.loop_growth import filter_growth, separates, worst_growth
+from hiersched.study.growth import has_network_loop, robot_counts
 from hiersched.study.registry import table
 from hiersched.study.statistics import mean_interval, paired_log_ratio
 from hiersched.study.study import Study
@@ -53,11 +47,6 @@ def filtered_cells(scenario: Scenario) -> dict[str, str]:
 def has_filtered_cells(scenario: Scenario) -> bool:
     """Whether there is a cell of `filtered_cells`."""
     return bool(filtered_cells(scenario))
-
-
-def has_network_loop(scenario: Scenario) -> bool:
-    """Whether all feedback crosses the network, so that its delays decide what the loop does."""
-    return scenario.loop_kind == "network"
 
 
 def cell_runs(study: Study) -> dict[str, dict[str, pd.DataFrame]]:
@@ -175,7 +164,7 @@ def moments_table(study: Study) -> pd.DataFrame:
     filtered = _filter_growth(study)
     rows = []
     for policy, own in chains.groupby("policy", sort=False):
-        user, growth = worst_growth(scenario, schedule, _counts(own))
+        user, growth = worst_growth(scenario, schedule, robot_counts(own))
         worst = own[own["robot"] == user]
         steps, times = worst["delay_steps"], worst["count"]
         rows.append(
@@ -191,22 +180,6 @@ def moments_table(study: Study) -> pd.DataFrame:
             }
         )
     return pd.DataFrame(rows)
-
-
-def _counts(chains: pd.DataFrame) -> list[FloatArray]:
-    """Return how often each delay of a robot followed another, robot by robot."""
-    names = "delay_steps", "next_steps", "count"
-    return [transition_counts(*(own[name] for name in names)) for _, own in chains.groupby("robot")]
-
-
-def greatest_growths(study: Study) -> dict[str, float]:
-    """Return the growth of each policy's worst loop, without the hold; NaN: not known."""
-    scenario = study.scenario
-    schedule, chains = study.schedule(scenario), study.measures("chains")
-    return {
-        str(policy): float(np.max(unheld_growths(scenario, schedule, _counts(own))))
-        for policy, own in chains.groupby("policy", sort=False)
-    }
 
 
 def _filter_growth(study: Study) -> float:

@@ -14,6 +14,7 @@ import pandas as pd
 from hiersched.experiments.points import BASELINE
 from hiersched.policies.index_rules import CLASSICAL
 from hiersched.scenario import Scenario
+from hiersched.study.growth import greatest_growths, has_network_loop
 from hiersched.study.metrics import DELAY_QUANTILES, violation_column
 from hiersched.study.registry import (
     axis_of,
@@ -40,7 +41,6 @@ from hiersched.study.statistics import (
     probability_of_improvement,
 )
 from hiersched.study.study import Study
-from hiersched.study.tables.loops import greatest_growths, has_network_loop
 from hiersched.study.tables.text import LEARNED_NOTE, NONE_NOTE, RATIO_NOTE
 
 BACKLOG = "mean_square_backlog"
