@@ -30,8 +30,9 @@ UNCOUPLED = 1e-7
 
 LONGEST_COUNTED = 1000
 """Samples: loops with such delays are not followed, and their transitions take no memory."""
-LARGEST = 3_000_000
-"""Entries of all second moments beyond which they are not followed."""
+LARGEST, LONGEST = 1_400_000, 100
+"""Entries of all second moments, and of a lifted state, beyond which they are not followed: it
+would take minutes."""
 
 
 class Chain(NamedTuple):
@@ -132,13 +133,13 @@ def second_moment_growth(
     memory = np.zeros((len(tables), 0, m, m)) if input_gains is None else np.array(input_gains)
     if not memory.any():
         memory = memory[:, :0]
-    grown = 0.0
+    loops = []
     for states, inputs in _parts(A, B, tables, memory):
         own = np.ix_(range(len(tables)), inputs, states)
         past = memory[:, :, inputs][:, :, :, inputs]
         plant = A[np.ix_(states, states)], B[np.ix_(states, inputs)]
-        grown = max(grown, _growth(*plant, tables[own], past, chain))
-    return grown
+        loops.append(_new_values(*plant, tables[own], past, chain))
+    return max(_growth(rows, chain) for rows in loops)
 
 
 def _parts(
@@ -160,60 +161,49 @@ def _parts(
     return [([*own[own < n]], [*(own[own >= n] - n)]) for own in found if (own < n).any()]
 
 
-class _Loops(NamedTuple):
-    """Loops on [x(k), ..., x(k-T), u(k-1), ...]: what is new, and what moves down by a sample."""
-
-    rows: FloatArray  # (S, r, N) of the new values
-    new: npt.NDArray[np.int64]  # (r,) their places
-    moved: npt.NDArray[np.int64]  # (N - r,) places of the others
-    source: npt.NDArray[np.int64]  # (N - r,) where they were
-
-
-def _lifted(
+def _new_values(
     A: FloatArray, B: FloatArray, gains: FloatArray, memory: FloatArray, chain: Chain
-) -> _Loops:
+) -> FloatArray:
+    """Return the new block of each loop, shape (S, b, N), on blocks that move down by a sample.
+
+    Block j is x(k-j), and u(k-1-j) below it where inputs are remembered.
+    """
     n, m = B.shape
-    states = n * (int(chain.delays.max()) + 1)
-    size = states + m * memory.shape[1]
+    remembered = memory.shape[1]
+    block = n + (m if remembered else 0)
+    size = block * max(int(chain.delays.max()) + 1, remembered)
     count = len(chain.delays)
-    if count * size**2 > LARGEST:
+    if count * size**2 > LARGEST or size > LONGEST:
         raise ValueError(
             f"the growth of {count} second moments of {size} x {size} is not followed: at most "
-            f"{LARGEST} entries"
+            f"{LONGEST} x {LONGEST}, and {LARGEST} entries in all"
         )
-    rows = np.zeros((count, n + (m if size > states else 0), size))
+    rows = np.zeros((count, block, size))
     for place, (delay, entry) in enumerate(zip(chain.delays, chain.entries, strict=True)):
         u = np.zeros((m, size))
-        u[:, n * delay : n * (delay + 1)] = -gains[entry]
-        for back in range(memory.shape[1]):
-            u[:, states + m * back : states + m * (back + 1)] = -memory[entry, back]
+        u[:, block * delay : block * delay + n] = -gains[entry]
+        for back in range(remembered):
+            u[:, block * back + n : block * (back + 1)] = -memory[entry, back]
         rows[place, :n] = B @ u
         rows[place, :n, :n] += A
-        rows[place, n:] = u[: rows.shape[1] - n]
-    places = np.arange(size)
-    new = np.concatenate([places[:n], places[states : states + m]])
-    moved = np.concatenate([places[n:states], places[states + m :]])
-    source = np.concatenate([places[: states - n], places[states : max(states, size - m)]])
-    return _Loops(rows, new, moved, source)
+        rows[place, n:] = u[: block - n]
+    return rows
 
 
-def _growth(
-    A: FloatArray, B: FloatArray, gains: FloatArray, memory: FloatArray, chain: Chain
-) -> float:
-    """Return the spectral radius of Q_j <- sum_i p_ij M_i Q_i M_i^T; Q has shape (S, N, N)."""
-    rows, new, moved, source = _lifted(A, B, gains, memory, chain)
-    count, _, size = rows.shape
+def _growth(rows: FloatArray, chain: Chain) -> float:
+    """Return the spectral radius of Q_j <- sum_i p_ij M_i Q_i M_i^T, of loops with these rows."""
+    count, block, size = rows.shape
     shape, length = (count, size, size), count * size * size
-    arrive = csr_array(chain.transition.T)
+    columns = np.ascontiguousarray(rows.transpose(0, 2, 1))
+    arrive, after = csr_array(chain.transition.T), np.empty(shape)
 
     def step(values: FloatArray) -> FloatArray:
         moments = values.reshape(shape)
-        columns = rows.transpose(0, 2, 1)
-        left, right, after = rows @ moments, moments @ columns, np.empty(shape)
-        after[:, moved[:, None], moved] = moments[:, source[:, None], source]
-        after[:, new[:, None], moved] = left[:, :, source]
-        after[:, moved[:, None], new] = right[:, source]
-        after[:, new[:, None], new] = left @ columns
+        left = rows @ moments
+        after[:, block:, block:] = moments[:, :-block, :-block]
+        after[:, :block, block:] = left[:, :, :-block]
+        after[:, block:, :block] = (moments @ columns)[:, :-block]
+        after[:, :block, :block] = left @ columns
         return np.asarray((arrive @ after.reshape(count, -1)).ravel())
 
     if length <= LARGEST_DENSE:
