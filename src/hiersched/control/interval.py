@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from hiersched.control.certificate import Certificate, IntervalWitness
 from hiersched.control.checks import FloatArray, as_loop, as_samples, as_symmetric, symmetrised
-from hiersched.control.lifted import spectral_radius_by_delay
+from hiersched.control.lifted import lift, spectral_radius_by_delay
 
 
 class _Vectors(NamedTuple):
@@ -196,9 +196,7 @@ def _margins(
     value = _lifted_value(n, least, most, witness)
     falls = []
     for delay in range(least, most + 1):
-        step = np.eye(n * (most + 1), k=-n)
-        step[:n, :n] += A_c
-        step[:n, n * delay : n * (delay + 1)] += A_d
+        step = lift(A_c, A_d, delay, most)
         fall = symmetrised(value - step.T @ value @ step)
         falls.append(float(np.linalg.eigvalsh(fall)[0]))
     margins = {"V": float(np.linalg.eigvalsh(value)[0]), "fall": min(falls)}

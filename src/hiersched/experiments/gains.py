@@ -11,8 +11,8 @@ from typing import Any
 from hiersched.control import GainSchedule, load_or_build
 from hiersched.experiments.points import Experiment, experiments, value_text
 from hiersched.scenario import Scenario
-from hiersched.simulator.gain_source import design_values, read_gains, scenario_key
-from hiersched.simulator.loop_gains import Gains, filter_model_of, loop_gains, plant_of
+from hiersched.simulator.gain_source import design_arguments, design_values, read_gains
+from hiersched.simulator.loop_gains import Gains, loop_gains
 
 
 @lru_cache(maxsize=8)
@@ -67,17 +67,8 @@ def design_gains(scenario: Scenario, design: str, path: Path) -> GainSchedule:
     known = designs(scenario)
     if design not in known:
         raise ValueError(f"design = {design!r}: must be one of {', '.join(known)}")
-    own, control = known[design], known[design].control
     path.parent.mkdir(parents=True, exist_ok=True)
-    return load_or_build(
-        path,
-        plant_of(own),
-        own.max_delay_steps,
-        control.method,
-        decay_rate=control.decay_rate,
-        model=filter_model_of(own),
-        key=scenario_key(own),
-    )
+    return load_or_build(path, **design_arguments(known[design]))
 
 
 def load_gains(path: Path, scenario: Scenario) -> tuple[GainSchedule, Gains]:

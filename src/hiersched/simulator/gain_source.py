@@ -114,18 +114,22 @@ def read_gains(path: Path, scenario: Scenario) -> GainSchedule:
     return schedule
 
 
+def design_arguments(scenario: Scenario) -> dict[str, Any]:
+    """Return what `build_schedule` designs the gains of a scenario from."""
+    return {
+        "plant": plant_of(scenario),
+        "max_delay_steps": scenario.max_delay_steps,
+        "method": scenario.control.method,
+        "decay_rate": scenario.control.decay_rate,
+        "model": filter_model_of(scenario),
+        "key": scenario_key(scenario),
+    }
+
+
 def design_schedule(scenario: Scenario) -> GainSchedule:
     """Design the gains of a scenario; MissingExtraError without the extra `control`, the solver."""
-    control = scenario.control
     with naming_extras():
-        return build_schedule(
-            plant_of(scenario),
-            scenario.max_delay_steps,
-            control.method,
-            decay_rate=control.decay_rate,
-            model=filter_model_of(scenario),
-            key=scenario_key(scenario),
-        )
+        return build_schedule(**design_arguments(scenario))
 
 
 def scenario_schedule(scenario: Scenario) -> GainSchedule:

@@ -19,6 +19,7 @@ from hiersched.control import (
     second_moment_growth,
 )
 from hiersched.scenario import Scenario
+from hiersched.simulator.gain_source import BELIEVED
 from hiersched.simulator.loop_gains import plant_of
 
 
@@ -37,8 +38,7 @@ def sampled_delays(
     per_sample = scenario.control.sampling_s / slot_s
     count = int(len(delay_steps) / per_sample + 1e-9)
     slots = np.floor(np.arange(count) * per_sample + 1e-9).astype(np.int64)
-    steps: NDArray[np.int64] = np.asarray(delay_steps, dtype=np.int64)
-    return np.asarray(steps[slots], dtype=np.int64)
+    return np.asarray(delay_steps[slots], dtype=np.int64)
 
 
 def true_plant(scenario: Scenario) -> DelayedPlant:
@@ -56,11 +56,10 @@ def true_plant(scenario: Scenario) -> DelayedPlant:
 def separates(scenario: Scenario) -> bool:
     """Whether a filter's inputs, stamps and beliefs are right, so that separation holds."""
     control = scenario.control
-    beliefs = "actuator_lag_s", "slip_speed_mps", "slip_turn_rate_radps", "slip_time_s"
     return (
         control.link == "measurements"
         and control.stamp_error_samples == 0
-        and all(scenario.believed(key) == getattr(scenario.robot, key) for key in beliefs)
+        and all(scenario.believed(key) == getattr(scenario.robot, key) for key in BELIEVED)
     )
 
 
@@ -77,28 +76,30 @@ def loop_growth(
     At delays beyond the longest with a gain that one is in force, on the measurement that there is.
     ValueError if not all feedback crosses the network.
     """
-    control = scenario.control
-    fixed = np.repeat(schedule.nominal[None], len(schedule.gains), axis=0)
-    nominal = _growth(scenario, counts, fixed)
+    control, plant = scenario.control, true_plant(scenario)
+    nominal = _growth(plant, counts, _nominal_table(schedule))
     if schedule.lqg is not None:
         followed = in_force = filter_growth(scenario, schedule.lqg)
     else:
         tables = schedule.gains, schedule.input_gains
-        followed = in_force = _growth(scenario, counts, *tables)
+        followed = in_force = _growth(plant, counts, *tables)
         if control.hold_samples:
-            in_force = _growth(scenario, counts, *tables, hold_samples=control.hold_samples)
+            in_force = _growth(plant, counts, *tables, hold_samples=control.hold_samples)
     return LoopGrowth(nominal, followed, nominal if control.gain == "nominal" else in_force)
 
 
+def _nominal_table(schedule: GainSchedule) -> NDArray[np.float64]:
+    return np.repeat(schedule.nominal[None], len(schedule.gains), axis=0)
+
+
 def _growth(
-    scenario: Scenario,
+    plant: DelayedPlant,
     counts: NDArray[np.float64],
     gains: NDArray[np.float64],
     input_gains: NDArray[np.float64] | None = None,
     *,
     hold_samples: int = 0,
 ) -> float:
-    plant = true_plant(scenario)
     try:
         chain = chain_of_counts(counts, hold_samples=hold_samples, max_entry=len(gains) - 1)
         return second_moment_growth(plant.A, plant.B, gains, chain, input_gains)
@@ -113,12 +114,12 @@ def unheld_growths(
 
     `counts` are those of `count_transitions` for every robot. Errors as of `loop_growth`.
     """
-    gains, inputs = schedule.gains, schedule.input_gains
+    plant = true_plant(scenario)
     if scenario.control.gain == "nominal":
-        gains, inputs = np.repeat(schedule.nominal[None], len(gains), axis=0), 0.0 * inputs
-    elif schedule.lqg is not None:
+        return [_growth(plant, own, _nominal_table(schedule)) for own in counts]
+    if schedule.lqg is not None:
         return [filter_growth(scenario, schedule.lqg)] * len(counts)
-    return [_growth(scenario, own, gains, inputs) for own in counts]
+    return [_growth(plant, own, schedule.gains, schedule.input_gains) for own in counts]
 
 
 def worst_growth(

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from hiersched.core.compiled import inner_kernel
 from hiersched.core.numerics import copy
-from hiersched.models.plant.estimator import form_model, move
+from hiersched.models.plant.estimator import advance, regulate
 
 LINKS = ("measurements", "playout", "packetised")
 MEASUREMENTS, PLAYOUT, PACKETISED = range(3)
@@ -136,11 +136,7 @@ def send_commands(
     copy(predicted, me.planned)
     for age in range(ahead, link.horizon + 1):
         _regulate(loop, me.planned, limits, packet[age])
-        if loop.filter.is_known:
-            form_model(loop.filter, me, me.motion[env, robot, sample])
-            move(me.A, me.B, me.scratch, me.planned, packet[age])
-        else:
-            move(loop.filter.A[0], loop.filter.B[0], me.scratch, me.planned, packet[age])
+        advance(loop.filter, me, me.planned, packet[age], sample, env, robot)
 
 
 @inner_kernel()
@@ -148,11 +144,9 @@ def _regulate(
     loop: Any, state: NDArray[np.float64], limits: NDArray[np.float64], out: NDArray[np.float64]
 ) -> None:
     """Write -K x, cut to the limits (m,)."""
+    regulate(loop.filter.regulator, state, out)
     for i in range(limits.shape[0]):
-        command = 0.0
-        for j in range(state.shape[0]):
-            command -= loop.filter.regulator[i, j] * state[j]
-        out[i] = min(max(command, -limits[i]), limits[i])
+        out[i] = min(max(out[i], -limits[i]), limits[i])
 
 
 @inner_kernel()

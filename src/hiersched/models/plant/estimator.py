@@ -130,31 +130,30 @@ def filter_memory(
 
 @inner_kernel()
 def estimate_now(
-    loop: Any, memory: Any, sample: int, delay_steps: int, env: int, robot: int
+    loop: Any,
+    memory: Any,
+    inputs: NDArray[np.float64],
+    until: int,
+    sample: int,
+    delay_steps: int,
+    env: int,
+    robot: int,
 ) -> None:
     """Filter what has arrived by a control sample, and predict: `memory.filter.predicted`.
 
     Of a loop's `LoopConstants` and `LoopMemory`: the newest measurement in `history` is T_d old,
-    and thought to be newer by `stamp_error`; `commands` are those applied, sample by sample. Where
-    commands cross the network, what the controller takes for applied stands in their place, and the
-    prediction goes on to the time of execution. At the start, and until a measurement arrives, the
-    robot is known to stand on its reference.
+    and thought to be newer by `stamp_error`; `commands` are those applied, sample by sample. From
+    there on the prediction goes by `inputs`, likewise, to the sample `until`. At the start, and
+    until a measurement arrives, the robot is known to stand on its reference.
     """
     _filter(loop, memory, sample, sample - delay_steps, env, robot)
-    me, own, inputs, until = loop.filter, memory.filter, memory.commands[env, robot], sample
-    if loop.link.kind != 0:
-        inputs, until = memory.link.assumed[env, robot], sample + memory.link.ahead[env, robot]
+    me, own = loop.filter, memory.filter
     predicted, spread = own.predicted[env, robot], own.spread[env, robot]
     copy(own.estimate[env, robot], predicted)
     copy(own.covariance[env, robot].reshape(-1), spread.reshape(-1))
-    A, B = me.A[0], me.B[0]
     for stamp in range(max(own.filtered[env, robot] - 1, 0), until):
-        if me.is_known:
-            A, B = own.A, own.B
-            form_model(me, own, own.motion[env, robot, min(stamp, sample)])
-        move(A, B, own.scratch, predicted, inputs[stamp])
-        if not me.all_arrive:
-            _spread(me, A, own.product, spread)
+        advance(me, own, predicted, inputs[stamp], min(stamp, sample), env, robot)
+        _widen(me, own, spread)
 
 
 @inner_kernel()
@@ -163,19 +162,14 @@ def _filter(loop: Any, memory: Any, sample: int, newest: int, env: int, robot: i
     me, own = loop.filter, memory.filter
     history, commands = memory.history[env, robot], memory.commands[env, robot]
     estimate, covariance = own.estimate[env, robot], own.covariance[env, robot]
-    A, B = me.A[0], me.B[0]
     last = min(sample, newest + loop.stamp_error)
     if not me.all_arrive:  # behind the newest that is there others may still come
         while last >= 0 and not own.arrived[env, robot, max(last - loop.stamp_error, 0)]:
             last -= 1
     for stamp in range(own.filtered[env, robot], last + 1):
         if stamp > 0:
-            if me.is_known:
-                A, B = own.A, own.B
-                form_model(me, own, own.motion[env, robot, stamp - 1])
-            move(A, B, own.scratch, estimate, commands[stamp - 1])
-            if not me.all_arrive:
-                _spread(me, A, own.product, covariance)
+            advance(me, own, estimate, commands[stamp - 1], stamp - 1, env, robot)
+            _widen(me, own, covariance)
         own.filtered[env, robot] = stamp + 1
         taken = stamp - loop.stamp_error
         if not 0 <= taken <= newest:
@@ -254,7 +248,48 @@ def note_arrivals(
 
 
 @inner_kernel()
-def form_model(me: FilterConstants, memory: FilterMemory, motion: NDArray[np.float64]) -> None:
+def advance(
+    me: FilterConstants,
+    memory: FilterMemory,
+    state: NDArray[np.float64],
+    command: NDArray[np.float64],
+    sample: int,
+    env: int,
+    robot: int,
+) -> None:
+    """Predict a state (N,) over the interval that begins with a sample, in place."""
+    A, B = me.A[0], me.B[0]
+    if me.is_known:
+        A, B = memory.A, memory.B
+        _form_model(me, memory, memory.motion[env, robot, sample])
+    _move(A, B, memory.scratch, state, command)
+
+
+@inner_kernel()
+def _widen(me: FilterConstants, memory: FilterMemory, covariance: NDArray[np.float64]) -> None:
+    """Predict a covariance over the interval of the last `advance`, unless it is stationary."""
+    if me.all_arrive:
+        return
+    A = me.A[0]
+    if me.is_known:
+        A = memory.A
+    _spread(me, A, memory.product, covariance)
+
+
+@inner_kernel()
+def regulate(
+    regulator: NDArray[np.float64], state: NDArray[np.float64], out: NDArray[np.float64]
+) -> None:
+    """Write the inputs -K x (m,) of a state (N,)."""
+    for i in range(regulator.shape[0]):
+        command = 0.0
+        for j in range(state.shape[0]):
+            command -= regulator[i, j] * state[j]
+        out[i] = command
+
+
+@inner_kernel()
+def _form_model(me: FilterConstants, memory: FilterMemory, motion: NDArray[np.float64]) -> None:
     """Put the model of an interval into the work arrays: `motion` (2,) is that of the reference."""
     speed, turn_rate = motion[0], motion[1]
     if not abs(turn_rate) <= MAX_TURN_RATE_RADPS:
@@ -269,7 +304,7 @@ def form_model(me: FilterConstants, memory: FilterMemory, motion: NDArray[np.flo
 
 
 @inner_kernel()
-def move(
+def _move(
     A: NDArray[np.float64],
     B: NDArray[np.float64],
     moved: NDArray[np.float64],

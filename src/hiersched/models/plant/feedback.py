@@ -23,6 +23,7 @@ from hiersched.models.plant.estimator import (
     FilterMemory,
     estimate_now,
     note_estimate,
+    regulate,
 )
 
 
@@ -178,16 +179,14 @@ def _control_by_filter(
 ) -> None:
     """Set a robot's inputs, before limits, by the filter and over the link."""
     if loop.link.kind == MEASUREMENTS:
-        estimate_now(loop, memory, sample, delay_steps, env, robot)
-        control, predicted = memory.control[env, robot], memory.filter.predicted[env, robot]
-        for i in range(limits.shape[0]):
-            command = 0.0
-            for j in range(predicted.shape[0]):
-                command -= loop.filter.regulator[i, j] * predicted[j]
-            control[i] = command
+        inputs = memory.commands[env, robot]
+        estimate_now(loop, memory, inputs, sample, sample, delay_steps, env, robot)
+        predicted = memory.filter.predicted[env, robot]
+        regulate(loop.filter.regulator, predicted, memory.control[env, robot])
         return
     assume_inputs(loop, memory, sample, env, robot)
-    estimate_now(loop, memory, sample, loop.link.latency_steps, env, robot)
+    inputs, until = memory.link.assumed[env, robot], sample + memory.link.ahead[env, robot]
+    estimate_now(loop, memory, inputs, until, sample, loop.link.latency_steps, env, robot)
     send_commands(loop, memory, limits, sample, env, robot)
     play_command(loop, memory, sample, delay_steps, env, robot)
 
