@@ -65,6 +65,9 @@ def scenario_schema() -> Json:
         "type": "object",
         "additionalProperties": {"anyOf": [sections["learning"], {"type": "null"}]},
     }
+    kinds = sections["robot_kinds"]["patternProperties"]
+    for pattern, kind in kinds.items():
+        kinds[pattern] = {"anyOf": [kind, {"type": "null"}]}
     definitions["Family"]["properties"]["policy"] = _policy()
     for name in ("families", "cells"):
         holder = definitions["TaskStudy"]["properties"][name]

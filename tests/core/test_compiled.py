@@ -33,7 +33,8 @@ rows = [np.zeros((2, 1, 1))] * 2
 tables = *rows, np.zeros((2, 1, 1, 1))
 steps = np.zeros(2, np.uint32)
 rest = steps, no_filter(1), NO_LINK
-loop = LoopConstants(0.1, 0.0, 1, *tables, False, 0, 0, False, False, *rest)
+kind = np.zeros(1, np.int64)
+loop = LoopConstants(0.1, 0.0, 1, kind, *tables, False, 0, 0, False, False, *rest)
 assert entry_in_force(loop, 5, np.zeros(2, np.int64)) == 1
 print(sum(entry_in_force.stats.cache_hits.values()))
 """

@@ -23,6 +23,7 @@ from hiersched.models.plant.operator import OperatorWords
 from hiersched.models.plant.reference import driven_table, reference_table
 from hiersched.models.plant.unicycle import (
     CONTROL,
+    LAG,
     LANES,
     NORMALS,
     NUM_PATH,
@@ -58,12 +59,14 @@ def constants(reference="straight", *, step_s=0.0025, speed_mps=1.0, noise=0.0, 
         )  # fmt: skip
         table, offset = reference_table(robot, 4000, 1)
     decay = math.exp(-step_s / LAG_S)
+    lanes = np.zeros((1, 1, 23 * LANES))
+    lanes[0, 0, LAG : LAG + LANES] = (1 - decay) * LAG_S / step_s
+    lanes[0, 0, LAG + LANES : LAG + 2 * LANES] = decay
     zeros = np.zeros((max_delay + 1, 2, 5))
     words = UnicycleWords(
         step_s=step_s, steps_per_slot=4, steps_per_sample=8, steps_per_window=400,
-        lag_decay=decay, lag_mean=(1 - decay) * LAG_S / step_s, slip_decay=0.9, slip_gain_mps=0.0,
-        slip_gain_radps=0.0, noise_position_m=noise, noise_heading_rad=2 * noise,
-        input_limits=np.array(limit),
+        noise_position_m=np.array([noise]), noise_heading_rad=np.array([2 * noise]),
+        input_limits=np.array([limit]),
         set_point=0, is_spread=False, phase=np.zeros(1, np.int64), reported_slots=1,
         reported=np.zeros((1, 1, 2)), newest=np.zeros((1, 1), np.int64),
         peak=np.zeros((1, 1), np.int64),
@@ -74,11 +77,11 @@ def constants(reference="straight", *, step_s=0.0025, speed_mps=1.0, noise=0.0, 
             shuffles=False, reach=np.ones((3, 2)), reach_turn_rad=0.0, step_s=step_s,
             num_steps=4000,
         ),
-        lanes=np.zeros((1, 1, 18 * LANES)),
+        lanes=lanes,
         memory=LoopMemory(
             history=np.zeros((1, 1, 201, 5)), commands=np.zeros((1, 1, max_delay + 1, 2)),
             control=np.zeros((1, 1, 2)), held=np.zeros((1, 1, 2), np.int64),
-            filter=filter_memory((1, 1), 200, 0, 2, is_known=False),
+            filter=filter_memory((1, 1), 200, 0, 2, kinds=1, is_known=False),
             link=link_memory((1, 1), 200, 2, 0, 0, 1),
         ),
         normals=normal_scratch(1, 5),
@@ -86,6 +89,7 @@ def constants(reference="straight", *, step_s=0.0025, speed_mps=1.0, noise=0.0, 
     )  # fmt: skip
     loop = LoopConstants(
         sampling_s=0.02, core_latency_s=0.005, max_delay_steps=max_delay,
+        kind=np.zeros(1, np.int64),
         local_gain=zeros if local is None else local,
         network_gain=zeros if network is None else network, has_memory=inputs is not None,
         input_gain=np.zeros((max_delay + 1, max_delay, 2, 2)) if inputs is None else inputs,
@@ -137,6 +141,7 @@ def move(robot, state, control, slip=(0.0, 0.0), steps=1, place=0, lane=3):
 
 def move_in_lane(robot, state, control, slip, steps, place, lane):
     lanes = np.zeros_like(robot.lanes[0, 0])
+    lanes[LAG:] = robot.lanes[0, 0, LAG:]
     for field, values in ((STATE, state), (CONTROL, control), (SLIP, slip)):
         put(lanes, field, values, lane)
     path = np.zeros((steps, NUM_PATH, LANES))

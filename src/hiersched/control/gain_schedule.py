@@ -7,7 +7,7 @@ import json
 import logging
 import operator
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, SupportsIndex, get_args
@@ -90,6 +90,7 @@ class GainSchedule:
     input_gains: FloatArray = field(default_factory=lambda: np.empty(0))
     operator_gain: FloatArray | None = None  # (m, n), the operator's over the network (split)
     lqg: Lqg | None = None  # filter and regulator of the method lqg, for all delays
+    kinds: tuple[GainSchedule, ...] = ()  # those of other plants of the same loop
 
     def __post_init__(self) -> None:
         """Check that the tables fit each other and freeze the arrays."""
@@ -113,6 +114,19 @@ class GainSchedule:
             object.__setattr__(self, name, array)
         for delay in range(len(gains)):
             self._check_status(delay)
+        for number, kind in enumerate(self.kinds):
+            self._check_kind(number, kind)
+
+    def _check_kind(self, number: int, kind: GainSchedule) -> None:
+        if kind.kinds:
+            raise ValueError(f"kinds[{number}] has kinds; only the schedule itself may")
+        names = "kind", "method", "decay_rate", "sampling_s", "max_delay_steps"
+        for name in names:
+            found, wanted = getattr(kind, name), getattr(self, name)
+            if found != wanted:
+                raise ValueError(f"kinds[{number}].{name} is {found!r}; it must be {wanted!r}")
+        if kind.nominal.shape != self.nominal.shape or (kind.lqg is None) != (self.lqg is None):
+            raise ValueError(f"kinds[{number}] is of another form than the schedule itself")
 
     def _checked_input_gains(self, steps: int, inputs: int) -> FloatArray:
         shape = (steps + 1, steps, inputs, inputs)
@@ -186,16 +200,32 @@ class GainSchedule:
             raise ValueError(f"delay_steps is {steps}; it must lie in 0..{self.max_delay_steps}")
         return np.asarray(self.gains[steps])
 
-    def verify(self, plant: DelayedPlant, model: FilterModel | None = None) -> None:
+    def verify(
+        self,
+        plant: DelayedPlant,
+        model: FilterModel | None = None,
+        kinds: Sequence[tuple[DelayedPlant, FilterModel | None]] = (),
+    ) -> None:
         """Recompute for a plant, and what its filter believes, all that the schedule says.
 
-        Numbers may differ by what another processor rounds differently. ValueError if a gain, its
-        status or its certificate is not what this method makes for this plant.
+        `kinds` are the same of the other plants. Numbers may differ by what another processor
+        rounds differently. ValueError if a gain, its status or its certificate is not what this
+        method makes for this plant.
         """
+        if len(kinds) != len(self.kinds):
+            raise ValueError(f"kinds are {len(self.kinds)}; they must be {len(kinds)}")
         check_schedule(self, plant, model)
+        for number, (own, of_plant) in enumerate(zip(self.kinds, kinds, strict=True)):
+            try:
+                check_schedule(own, *of_plant)
+            except ValueError as error:
+                raise ValueError(f"kinds[{number}]: {error}") from error
 
     def to_json(self) -> str:
         """Return the schedule as JSON, floats in their shortest form that reads back exactly."""
+        return seal_json({"format": FORMAT, **self._document()}, default=_plain)
+
+    def _document(self) -> dict[str, Any]:
         entries = [
             {
                 "delay_steps": delay,
@@ -207,10 +237,12 @@ class GainSchedule:
             for delay, gain in enumerate(self.gains)
         ]
         head = {name: getattr(self, name) for name in _HEAD}
-        document = {"format": FORMAT, **head, "entries": entries}
+        document = {**head, "entries": entries}
         if self.lqg is not None:
             document["lqg"] = self.lqg
-        return seal_json(document, default=_plain)
+        if self.kinds:
+            document["kinds"] = [kind._document() for kind in self.kinds]
+        return document
 
     @classmethod
     def from_json(cls, text: str, *, vouched: bool = False) -> GainSchedule:
@@ -243,6 +275,9 @@ class GainSchedule:
         if head["nominal"].ndim != 2 or max(*head["nominal"].shape, len(entries)) > _MOST:
             raise ValueError(f"nominal is no matrix, or there are more than {_MOST} of something")
         certificates = (_field(entry, "certificate", dict) for entry in entries)
+        kinds = _field(document, "kinds", list) if "kinds" in document else []
+        if any("kinds" in kind for kind in kinds):
+            raise ValueError("kinds has kinds; only the schedule itself may")
         return cls(
             **head,
             gains=np.array([_field(entry, "gain", np.ndarray) for entry in entries]),
@@ -250,6 +285,7 @@ class GainSchedule:
             certificates=tuple(map(_parse_certificate, certificates)),
             input_gains=_parse_input_gains(entries, len(head["nominal"])),
             lqg=_parse_lqg(document) if "lqg" in document else None,
+            kinds=tuple(cls._of(kind) for kind in kinds),
         )
 
 
@@ -336,6 +372,7 @@ def design_key(
     method: Method,
     decay_rate: float,
     model: FilterModel | None = None,
+    kinds: Sequence[tuple[DelayedPlant, FilterModel | None]] = (),
 ) -> str:
     """Return the SHA-256, in hexadecimal, of everything that `build_schedule` depends on."""
     inputs: dict[str, Any] = {
@@ -351,6 +388,9 @@ def design_key(
         inputs[name] = None if array is None else array.tolist()
     if model is not None:
         inputs["model"] = {name: value.tolist() for name, value in vars(model).items()}
+    if kinds:
+        rest = max_delay_steps, method, decay_rate
+        inputs["kinds"] = [design_key(own, *rest, believed) for own, believed in kinds]
     text = json.dumps(inputs, sort_keys=True, allow_nan=False)
     return hashlib.sha256(text.encode()).hexdigest()
 
@@ -363,10 +403,12 @@ def build_schedule(
     decay_rate: float = DEFAULT_DECAY_RATE,
     model: FilterModel | None = None,
     key: str | None = None,
+    kinds: Sequence[tuple[DelayedPlant, FilterModel | None]] = (),
 ) -> GainSchedule:
     """Design the gain of every delay 0..T_max in samples; each is that of `GainDesigner`.
 
-    `key` names the design; its `design_key` unless given.
+    `key` names the design; its `design_key` unless given. `kinds` are other plants of the same
+    loop, each with what its filter believes: the gains of each stand in `GainSchedule.kinds`.
     """
     from hiersched.control.design import GainDesigner
 
@@ -396,8 +438,12 @@ def build_schedule(
         method=method,
         decay_rate=decay_rate if method == "razumikhin" else None,
         sampling_s=plant.sampling_s,
-        key=design_key(plant, steps, method, decay_rate, model) if key is None else key,
+        key=design_key(plant, steps, method, decay_rate, model, kinds) if key is None else key,
         lqg=designer.lqg,
+        kinds=tuple(
+            build_schedule(own, steps, method, decay_rate=decay_rate, model=believed, key=key)
+            for own, believed in kinds
+        ),
     )
 
 
@@ -410,6 +456,7 @@ def load_or_build(
     decay_rate: float = DEFAULT_DECAY_RATE,
     model: FilterModel | None = None,
     key: str | None = None,
+    kinds: Sequence[tuple[DelayedPlant, FilterModel | None]] = (),
 ) -> GainSchedule:
     """Return the schedule cached as JSON at `path` if it is this design's, else build and store it.
 
@@ -418,18 +465,18 @@ def load_or_build(
     """
     target = Path(path)
     if key is None:
-        key = design_key(plant, max_delay_steps, method, decay_rate, model)
+        key = design_key(plant, max_delay_steps, method, decay_rate, model, kinds)
     if target.exists():
         try:
             schedule = GainSchedule.from_json(target.read_text(encoding="utf-8"))
             if schedule.key == key:
-                schedule.verify(plant, model)
+                schedule.verify(plant, model, kinds)
                 return schedule
             logger.info("%s holds another design's gains; designing anew", target)
         except ValueError as error:
             logger.warning("%s is not usable (%s); designing anew", target, error)
     schedule = build_schedule(
-        plant, max_delay_steps, method, decay_rate=decay_rate, model=model, key=key
+        plant, max_delay_steps, method, decay_rate=decay_rate, model=model, key=key, kinds=kinds
     )
     write_bytes(target, schedule.to_json().encode())
     return schedule

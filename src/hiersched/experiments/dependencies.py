@@ -40,11 +40,12 @@ if TYPE_CHECKING:
 _SECTIONS = {
     *SECTIONS,
     *(field.name for field in fields(Scenario)),
-} - {"name", "plugins", "policies", "learners"}
+} - {"name", "plugins", "policies", "learners", "robot_kinds"}
 """Keys that hold other keys."""
 
 _SLOT_LOOP = (
-    *("name", "plugins", "users", "radio", "traffic", "schedulers", "robot", "control", "plant"),
+    *("name", "plugins", "users", "radio", "traffic", "schedulers"),
+    *("robot", "robot_kinds", "control", "plant"),
     "objective.penalty_weight",
     "objective.epsilon",
     "objective.delay_exponent",

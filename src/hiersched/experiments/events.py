@@ -76,11 +76,13 @@ def _capped_delays(scenario: Scenario, fields: Mapping[str, NDArray[Any]]) -> It
 def _unproven_gains(
     scenario: Scenario, schedule: GainSchedule, fields: Mapping[str, NDArray[Any]]
 ) -> Iterator[Event]:
-    status, steps = np.array(schedule.status), entries_in_force(scenario, fields["delay_steps"])
+    of_robots = [(schedule, *schedule.kinds)[kind].status for kind in scenario.kind_of_robot]
+    steps = entries_in_force(scenario, fields["delay_steps"])
+    status = np.take_along_axis(np.array(of_robots).T, steps, axis=0)
     for kind, what in _UNPROVEN.items():
         if kind == "uncertified" and scenario.control.gain == "nominal":
             continue  # that gain is not in force
-        for robot, start, stop in stretches((status == kind)[steps]):
+        for robot, start, stop in stretches(status == kind):
             text = (
                 f"robot {robot}: no certified gain for T = {steps[start, robot]}, {what} in force "
                 f"for {stop - start} slots"

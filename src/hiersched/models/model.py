@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from operator import attrgetter
 from typing import (
@@ -18,7 +18,7 @@ from typing import (
 )
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import ConfigDict
 
 from hiersched.core.fields import ModelField
@@ -41,6 +41,15 @@ class Setup:
     scenario: Scenario
     num_envs: int  # worlds side by side, E
     num_slots: int  # of an episode, T
+    kinds: tuple[Scenario, ...] = ()  # of robots, G; all are alike unless given
+
+    def of_kinds(self, value: Callable[[Scenario], ArrayLike]) -> NDArray[np.float64]:
+        """Return a value of each kind of robot, shape (G, …)."""
+        return np.array([value(kind) for kind in self.kinds or (self.scenario,)], np.float64)
+
+    def of_robots(self, value: Callable[[Scenario], ArrayLike]) -> NDArray[np.float64]:
+        """Return a value of each robot, shape (R, …)."""
+        return self.of_kinds(value)[list(self.scenario.kind_of_robot)]
 
     def loop_memory(self, n: int, m: int) -> LoopMemory:
         """Return what the loops of the robots remember, for n states and m inputs: nothing yet."""
@@ -60,6 +69,7 @@ class Setup:
                 size,
                 m,
                 max(scenario.playout_steps, scenario.packet_horizon),
+                kinds=len(scenario.robot_kinds) + 1,
                 is_known=scenario.control.known_motion,
             ),
             link=link_memory(
@@ -192,12 +202,15 @@ class Plant(Model):
     late. `chooses_loop`: whether
     `control.loop` decides what crosses the network. `design_keys`: keys on which `design` depends;
     None: on all. `num_disturbances`: states of `filter_model` behind those of the plant.
+    `kind_keys`: dotted keys in which `robot_kinds` may make robots differ; `words` takes those of
+    each from `Setup.of_robots`.
     """
 
     has_pose: ClassVar[bool] = False
     chooses_loop: ClassVar[bool] = False
     design_keys: ClassVar[tuple[str, ...] | None] = None
     num_disturbances: ClassVar[int] = 0
+    kind_keys: ClassVar[tuple[str, ...]] = ()
 
     def loop(self, scenario: Scenario) -> Literal["network", "split", "local"]:
         """Return what crosses the network: all feedback, a part, or none."""

@@ -4,6 +4,7 @@ import hiersched.models.built_in  # noqa: F401  # registers the models that scen
 from hiersched.scenario.fault_text import ScenarioError
 from hiersched.scenario.load import (
     find_scenario,
+    kinds_of_robots,
     load_resolved,
     load_scenario,
     scenario_sha256,
@@ -20,6 +21,7 @@ __all__ = [
     "ScenarioError",
     "delay_steps",
     "find_scenario",
+    "kinds_of_robots",
     "load_resolved",
     "load_scenario",
     "parameter_notes",

@@ -17,7 +17,7 @@ from hiersched.core.registry import ALGORITHMS, BUILT_IN_ALGORITHMS
 from hiersched.models.model import SECTIONS
 from hiersched.models.plant.reference import period_s, tasks_of
 from hiersched.policies.find import UNTRAINED, ImportedPolicy, untrained_names
-from hiersched.scenario.fault_text import own_faults
+from hiersched.scenario.fault_text import meant, own_faults
 from hiersched.scenario.reference_file import reference_faults
 from hiersched.scenario.schema import Family, Learning, Scenario, delay_steps, model_at
 
@@ -83,6 +83,7 @@ def inconsistencies(scenario: Scenario, *, swept: bool = False) -> list[str]:
         *_link_budget(scenario),
         *_times(scenario),
         *_control(scenario),
+        *_robot_kinds(scenario),
         *reference_faults(scenario, swept=swept),
     ]
     for key in () if unfit else SECTIONS:  # they read a load of each user
@@ -161,6 +162,33 @@ def _users(scenario: Scenario) -> list[str]:
                 f"{key} has {len(value)} numbers, and users.num_{name} = {count}: must be one "
                 f"number, or {count} of them"
             )
+    return faults
+
+
+def _robot_kinds(scenario: Scenario) -> list[str]:
+    """Check which robots are of a kind, and in which keys they differ; not yet their values."""
+    count, allowed = scenario.users.num_urllc, scenario.plant.kind_keys
+    faults, taken = [], dict[int, str]()
+    for name, kind in scenario.robot_kinds.items():
+        place = f"robot_kinds.{name}"
+        faults += _once(f"{place}.robots", kind.robots, "robot")
+        if beyond := [robot for robot in kind.robots if robot >= count]:
+            faults.append(
+                f"{place}.robots = {list(kind.robots)}: robot {beyond[0]}: must be from 0 to "
+                f"{count - 1} (users.num_urllc = {count})"
+            )
+        faults += [
+            f"{place}.robots = {list(kind.robots)}: robot {robot} is of the kind {taken[robot]}"
+            for robot in kind.robots
+            if robot in taken
+        ]
+        taken |= dict.fromkeys(kind.robots, name)
+        faults += [
+            f"{place}.values.{key}: robots may not differ in it with plant.model = "
+            f"{scenario.plant.model!r}; in: {', '.join(allowed) or 'nothing'}{meant(key, allowed)}"
+            for key in kind.values
+            if key not in allowed
+        ]
     return faults
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, fields
-from functools import cache
+from dataclasses import asdict, fields, replace
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -167,7 +167,7 @@ def _with_axes(overlay: dict[str, Any], *, whole: bool = False) -> dict[str, Any
 
 
 def _without_none(merged: dict[str, Any]) -> dict[str, Any]:
-    """Leave out the families and cells of studies that are null."""
+    """Leave out the families and cells of studies, and kinds of robots, that are null."""
     for place in ("task_study", "gain_study"):
         study = merged.get(place)
         if not isinstance(study, dict):
@@ -178,6 +178,8 @@ def _without_none(merged: dict[str, Any]) -> dict[str, Any]:
             if isinstance(study.get(name), dict)
         }
         merged = {**merged, place: {**study, **kept}}
+    if isinstance(kinds := merged.get("robot_kinds"), dict):
+        merged["robot_kinds"] = {name: kind for name, kind in kinds.items() if kind is not None}
     return merged
 
 
@@ -257,6 +259,22 @@ def with_values(scenario: Scenario, values: Mapping[str, Any], where: str) -> Sc
     return _validate(data, [(Path(f"{where}: with {given}"), data)], swept=True)
 
 
+@lru_cache(maxsize=64)
+def kinds_of_robots(scenario: Scenario) -> tuple[Scenario, ...]:
+    """Return a scenario for each kind of robot, in which all robots are of that kind.
+
+    The first is for robots of which `robot_kinds` says nothing. ScenarioError as of `with_values`.
+    """
+    if not scenario.robot_kinds:
+        return (scenario,)
+    alike = replace(scenario, robot_kinds={})
+    kinds = [
+        with_values(alike, kind.values, f"robot_kinds.{name}.values")
+        for name, kind in scenario.robot_kinds.items()
+    ]
+    return alike, *kinds
+
+
 _Sources = Sequence[tuple[Path, Mapping[str, Any]]]
 """Files of a scenario, the one that stands over the others first, and what each holds."""
 
@@ -281,9 +299,26 @@ def _validate(merged: Mapping[str, Any], sources: _Sources, *, swept: bool = Fal
     except ValidationError as error:
         raise ScenarioError(describe(error, merged, sources)) from error
     faults = inconsistencies(scenario, swept=swept)
+    if not faults:
+        faults = _kind_faults(scenario)
     if faults:
         raise ScenarioError("\n".join(f"{path}: {fault}" for fault in faults))
     return scenario
+
+
+def _kind_faults(scenario: Scenario) -> list[str]:
+    """Say which kinds of robots cannot be, alone or beside the others."""
+    try:
+        own, *kinds = kinds_of_robots(scenario)
+    except ScenarioError as error:
+        return str(error).split("\n")
+    return [
+        f"robot_kinds.{name}.values: a plant of {kind.robot_sizes[:2]} states and inputs with "
+        f"{kind.loop_kind!r} feedback: must be {own.robot_sizes[:2]} and {own.loop_kind!r}, as for "
+        "the other robots"
+        for name, kind in zip(scenario.robot_kinds, kinds, strict=True)
+        if (kind.robot_sizes, kind.loop_kind) != (own.robot_sizes, own.loop_kind)
+    ]
 
 
 def _load_plugins(merged: Mapping[str, Any], sources: _Sources) -> None:

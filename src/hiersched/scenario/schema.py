@@ -149,6 +149,14 @@ class Robot(_Strict):
 
 
 @dataclass(frozen=True, kw_only=True)
+class RobotKind(_Strict):
+    """Robots, by their numbers from 0 on, and what they have other than the rest: dotted keys."""
+
+    robots: Annotated[tuple[Annotated[int, Field(ge=0)], ...], NonEmpty]
+    values: Annotated[Mapping[str, Any], NonEmpty] = field(hash=False)
+
+
+@dataclass(frozen=True, kw_only=True)
 class Control(_Strict):
     """The lower level: sampling, weights and how gains are adjusted to the delay."""
 
@@ -370,6 +378,7 @@ class Scenario(_Strict):
     schedulers: Schedulers
     robot: Robot
     plant: Annotated[model.Plant, chosen_from(model.PLANT)]
+    robot_kinds: Mapping[CellName, RobotKind] = field(hash=False)
     control: Control
     policies: Mapping[PolicyName, Annotated[Rule | ImportedPolicy, policy_entry()]] = field(
         hash=False
@@ -398,6 +407,13 @@ class Scenario(_Strict):
     def robot_sizes(self) -> tuple[int, int, int]:
         """States and inputs of a robot, and the standard normals that it takes a slot."""
         return self.plant.sizes(self)
+
+    @property
+    def kind_of_robot(self) -> tuple[int, ...]:
+        """Return for each robot 0, or the place of its kind among `robot_kinds`, from 1 on."""
+        kinds = enumerate(self.robot_kinds.values(), 1)
+        own = {robot: number for number, kind in kinds for robot in kind.robots}
+        return tuple(own.get(robot, 0) for robot in range(self.users.num_urllc))
 
     def believed(self, name: str) -> float:
         """Return what the controller believes of a key of the robot, such as ``slip_time_s``."""

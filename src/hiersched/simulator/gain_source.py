@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from hiersched.control import GainSchedule, build_schedule
+from hiersched.control import DelayedPlant, FilterModel, GainSchedule, build_schedule
 from hiersched.control.gain_schedule import DESIGN_VERSION
 from hiersched.core.extras import naming_extras
 from hiersched.core.faults import InputError
-from hiersched.scenario import Scenario, scenario_to_dict
+from hiersched.scenario import Scenario, kinds_of_robots, scenario_to_dict
 from hiersched.scenario.plugins import CONFIG
 from hiersched.simulator.loop_gains import Gains, filter_model_of, loop_gains, plant_of
 
@@ -47,6 +48,12 @@ BELIEVED = ("actuator_lag_s", "slip_speed_mps", "slip_turn_rate_radps", "slip_ti
 @lru_cache(maxsize=1024)
 def design_values(scenario: Scenario) -> str:
     """Return what a gain schedule depends on, as canonical JSON."""
+    own, *kinds = map(_design_values, kinds_of_robots(scenario))
+    return json.dumps({**own, "robot_kinds": kinds} if kinds else own, sort_keys=True)
+
+
+def _design_values(scenario: Scenario) -> dict[str, Any]:
+    """Pick those of robots that are all alike."""
     own = scenario.plant.design_keys
     plant = ("plant",) if own is None else tuple(f"plant.{name}" for name in own)
     data = scenario_to_dict(scenario)
@@ -60,7 +67,7 @@ def design_values(scenario: Scenario) -> str:
     for name in BELIEVED:
         if f"robot.{name}" in values:
             values[f"robot.{name}"] = scenario.believed(name)
-    return json.dumps(values, sort_keys=True)
+    return values
 
 
 def scenario_key(scenario: Scenario) -> str:
@@ -92,7 +99,8 @@ def check_gains(schedule: GainSchedule, scenario: Scenario) -> None:
         found = getattr(schedule, name)
         if found != wanted:
             raise ValueError(f"{name} is {found!r}; it must be {wanted!r}, as in the scenario")
-    schedule.verify(plant_of(scenario), filter_model_of(scenario))
+    own, *kinds = kinds_of_robots(scenario)
+    schedule.verify(plant_of(own), filter_model_of(own), _plants(kinds))
 
 
 class GainsError(InputError, ValueError):
@@ -116,14 +124,20 @@ def read_gains(path: Path, scenario: Scenario) -> GainSchedule:
 
 def design_arguments(scenario: Scenario) -> dict[str, Any]:
     """Return what `build_schedule` designs the gains of a scenario from."""
+    own, *kinds = kinds_of_robots(scenario)
     return {
-        "plant": plant_of(scenario),
+        "plant": plant_of(own),
         "max_delay_steps": scenario.max_delay_steps,
         "method": scenario.control.method,
         "decay_rate": scenario.control.decay_rate,
-        "model": filter_model_of(scenario),
+        "model": filter_model_of(own),
         "key": scenario_key(scenario),
+        "kinds": _plants(kinds),
     }
+
+
+def _plants(kinds: Sequence[Scenario]) -> list[tuple[DelayedPlant, FilterModel | None]]:
+    return [(plant_of(kind), filter_model_of(kind)) for kind in kinds]
 
 
 def design_schedule(scenario: Scenario) -> GainSchedule:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hiersched.control import DelayedPlant, GainSchedule
 from hiersched.control.lqg import FilterModel, Lqg
-from hiersched.scenario.schema import Scenario
+from hiersched.scenario import Scenario, kinds_of_robots
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -25,6 +25,7 @@ class Gains:
     input_gains: NDArray[np.float64]  # (T_max + 1, T_max, m, m) on past commands, the newest first
     adjusted: NDArray[np.bool_]  # (T_max + 1,) whether an entry is not the nominal gain
     lqg: Lqg | None = None  # filter and regulator, in place of the tables
+    kinds: tuple[Gains, ...] = ()  # of the other kinds of robots (`Scenario.robot_kinds`)
 
     @classmethod
     def memoryless(
@@ -53,7 +54,7 @@ def filter_model_of(scenario: Scenario) -> FilterModel | None:
 
 
 def loop_gains(schedule: GainSchedule, gain: Literal["adjusted", "nominal"]) -> Gains:
-    """Tables of a schedule for the loop, or those of its nominal gain, whatever the delay."""
+    """Tables of a schedule for the loops, or those of its nominal gain, whatever the delay."""
     local, network = schedule.local_gains, schedule.network_gains
     inputs = schedule.input_gains.copy()
     differs = (schedule.gains != schedule.nominal).any(axis=(1, 2)) | inputs.any(axis=(1, 2, 3))
@@ -66,12 +67,22 @@ def loop_gains(schedule: GainSchedule, gain: Literal["adjusted", "nominal"]) -> 
         inputs[:] = 0.0
         differs[:] = False
     return Gains(
-        local_gains=local, network_gains=network, input_gains=inputs, adjusted=differs, lqg=lqg
+        local_gains=local,
+        network_gains=network,
+        input_gains=inputs,
+        adjusted=differs,
+        lqg=lqg,
+        kinds=tuple(loop_gains(kind, gain) for kind in schedule.kinds),
     )
 
 
 def nominal_gains(scenario: Scenario) -> Gains:
     """Tables of the nominal gain at every delay, without designing any other."""
+    own, *kinds = (_nominal_gains(kind) for kind in kinds_of_robots(scenario))
+    return replace(own, kinds=tuple(kinds))
+
+
+def _nominal_gains(scenario: Scenario) -> Gains:
     plant = plant_of(scenario)
     nominal, operator = plant.nominal_gain, plant.operator_gain
     if plant.kind == "network":

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from operator import attrgetter
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hiersched.control.lqg import Lqg
 from hiersched.models.model import Belief, Setup, model_fields, num_model_values
 from hiersched.models.plant.command_link import LINKS, NO_LINK, LinkConstants
 from hiersched.models.plant.estimator import FilterConstants, no_filter
 from hiersched.models.plant.feedback import LoopConstants
 from hiersched.models.queue.fifo import SUPERSEDING
-from hiersched.scenario.schema import Scenario
+from hiersched.scenario import Scenario, kinds_of_robots
 from hiersched.simulator.loop_gains import Gains
 
 
@@ -147,6 +150,10 @@ def _near_integer(values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 def _loop_constants(scenario: Scenario, gains: Gains) -> LoopConstants:
     """Return the constants of the robots' loops."""
+    kinds = kinds_of_robots(scenario)
+    if len(gains.kinds) != len(kinds) - 1:
+        raise ValueError(f"gains.kinds: {len(gains.kinds)}, must be {len(kinds) - 1}, as of robots")
+    of_kinds = (gains, *gains.kinds)
     count = scenario.max_delay_steps + 1
     n, m, _ = scenario.robot_sizes
     shapes = {
@@ -157,52 +164,65 @@ def _loop_constants(scenario: Scenario, gains: Gains) -> LoopConstants:
     tables = {}
     for name, shape in shapes.items():
         # An array that is read-only would be another type, for which kernels are compiled anew.
-        table = np.array(getattr(gains, name), np.float64)
-        if table.shape != shape:
-            raise ValueError(f"{name}: shape {table.shape}, must be {shape}")
-        tables[name.removesuffix("s")] = table
+        found = [np.array(getattr(own, name), np.float64) for own in of_kinds]
+        if wrong := [table.shape for table in found if table.shape != shape]:
+            raise ValueError(f"{name}: shape {wrong[0]}, must be {shape}")
+        tables[name.removesuffix("s")] = np.concatenate(found)
     return LoopConstants(
         sampling_s=scenario.control.sampling_s,
         core_latency_s=scenario.robot.core_latency_s,
         max_delay_steps=scenario.max_delay_steps,
+        kind=np.array(scenario.kind_of_robot, np.int64),
         **tables,
         has_memory=bool(tables["input_gain"].any()),
         hold_samples=scenario.control.hold_samples,
         stamp_error=scenario.control.stamp_error_samples,
         is_local=scenario.loop_kind == "local",
         by_age=scenario.control.delay == "age",
-        adjusted_delay_steps=np.where(gains.adjusted, np.arange(count), 0).astype(np.uint32),
-        filter=_filter_constants(scenario, gains),
+        adjusted_delay_steps=np.concatenate(
+            [np.where(own.adjusted, np.arange(count), 0).astype(np.uint32) for own in of_kinds]
+        ),
+        filter=_filter_constants(scenario, kinds, [own.lqg for own in of_kinds]),
         link=_link_constants(scenario),
     )
 
 
-def _filter_constants(scenario: Scenario, gains: Gains) -> FilterConstants:
-    """Return the constants of the robots' filters."""
-    lqg, size = gains.lqg, scenario.filter_size
-    if (0 if lqg is None else len(lqg.model.A)) != size:
+def _filter_constants(
+    scenario: Scenario, kinds: Sequence[Scenario], found: Sequence[Lqg | None]
+) -> FilterConstants:
+    """Return the constants of the robots' filters, those that were `found` for each kind."""
+    size = scenario.filter_size
+    if any((0 if lqg is None else len(lqg.model.A)) != size for lqg in found):
         raise ValueError(
-            f"lqg: {'missing' if lqg is None else 'given'}, or of another size: must be a filter "
-            f"of {size} states"
+            f"lqg: missing, given, or of another size: must be a filter of {size} states"
         )
-    if lqg is None:
+    filters = [lqg for lqg in found if lqg is not None]
+    if not filters:
         return no_filter(scenario.robot_sizes[1])
-    # As in tables of gains: read-only arrays are another type.
-    A, B = np.array(lqg.model.A)[None], np.array(lqg.model.B)[None]
-    models = A, np.zeros_like(A), B, np.zeros_like(B)
     if scenario.control.known_motion:
-        models = scenario.plant.motion_models(scenario)
+        models = [kind.plant.motion_models(kind) for kind in kinds]
+    else:
+        believed = [(lqg.model.A[None], lqg.model.B[None]) for lqg in filters]
+        models = [(A, np.zeros_like(A), B, np.zeros_like(B)) for A, B in believed]
+    A, A_speed, B, B_speed = (np.array(matrices) for matrices in zip(*models, strict=True))
+
+    def of_kinds(name: str) -> NDArray[np.float64]:
+        return np.array([attrgetter(name)(lqg) for lqg in filters], np.float64, order="C")
+
     return FilterConstants(
-        True,
-        scenario.control.known_motion,
-        scenario.robot.superseding == "none" or scenario.sends_commands,
-        *models,
-        process_covariance=np.array(lqg.model.process_covariance),
-        measurement_variance=np.array(lqg.model.measurement_variance),
-        gain=np.array(lqg.filter_gain, order="C"),
-        regulator=np.array(lqg.regulator),
-        straight=np.array(lqg.model.A),
-        covariance=np.array(lqg.covariance),
+        is_on=True,
+        is_known=scenario.control.known_motion,
+        all_arrive=scenario.robot.superseding == "none" or scenario.sends_commands,
+        A=A,
+        A_speed=A_speed,
+        B=B,
+        B_speed=B_speed,
+        process_covariance=of_kinds("model.process_covariance"),
+        measurement_variance=of_kinds("model.measurement_variance"),
+        gain=of_kinds("filter_gain"),
+        regulator=of_kinds("regulator"),
+        straight=of_kinds("model.A"),
+        covariance=of_kinds("covariance"),
         position_states=np.array(scenario.plant.position_states(), np.int64),
         first_value=_first_value(scenario, "plant/estimate_0"),
     )

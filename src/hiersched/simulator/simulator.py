@@ -25,7 +25,7 @@ from hiersched.policies.policy import (
 )
 from hiersched.policies.registry import ALLOCATIONS, Rule
 from hiersched.policies.seams import ALLOCATE, INDEX, WEIGH
-from hiersched.scenario.schema import Scenario
+from hiersched.scenario import Scenario, kinds_of_robots
 from hiersched.simulator.loop import (
     Plugs,
     decide_slots,
@@ -72,7 +72,12 @@ class Simulator:
     ) -> None:
         self.scenario = scenario
         self.num_slots = num_slots
-        self.setup = Setup(scenario=scenario, num_envs=len(keys), num_slots=num_slots)
+        self.setup = Setup(
+            scenario=scenario,
+            num_envs=len(keys),
+            num_slots=num_slots,
+            kinds=kinds_of_robots(scenario),
+        )
         self.models: dict[str, Model] = models_of(scenario)
         self.words = {name: model.words(self.setup) for name, model in self.models.items()}
         self.constants: SlotConstants = slot_constants(scenario, gains)

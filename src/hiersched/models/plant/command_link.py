@@ -128,23 +128,27 @@ def send_commands(
     link, own, me = loop.link, memory.link, memory.filter
     predicted, ahead = me.predicted[env, robot], own.ahead[env, robot]
     if link.kind == PLAYOUT:
-        _regulate(loop, predicted, limits, own.assumed[env, robot, sample + ahead])
+        _regulate(loop, predicted, limits, own.assumed[env, robot, sample + ahead], robot)
         return
     packet = own.packets[env, robot, sample % own.packets.shape[2]]
     for age in range(ahead):
         copy(own.assumed[env, robot, sample + age], packet[age])
     copy(predicted, me.planned)
     for age in range(ahead, link.horizon + 1):
-        _regulate(loop, me.planned, limits, packet[age])
-        advance(loop.filter, me, me.planned, packet[age], sample, env, robot)
+        _regulate(loop, me.planned, limits, packet[age], robot)
+        advance(loop, me, me.planned, packet[age], sample, env, robot)
 
 
 @inner_kernel()
 def _regulate(
-    loop: Any, state: NDArray[np.float64], limits: NDArray[np.float64], out: NDArray[np.float64]
+    loop: Any,
+    state: NDArray[np.float64],
+    limits: NDArray[np.float64],
+    out: NDArray[np.float64],
+    robot: int,
 ) -> None:
     """Write -K x, cut to the limits (m,)."""
-    regulate(loop.filter.regulator, state, out)
+    regulate(loop.filter.regulator[loop.kind[robot]], state, out)
     for i in range(limits.shape[0]):
         out[i] = min(max(out[i], -limits[i]), limits[i])
 

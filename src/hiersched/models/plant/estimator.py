@@ -29,33 +29,34 @@ def estimate_fields(num_measured: int) -> dict[str, str]:
 
 
 class FilterConstants(NamedTuple):
-    """What a filter believes; N states, of which the first n are measured, and m inputs.
+    """What filters believe; N states, of which the first n are measured, and m inputs.
 
-    The model at the speed v and the turn rate of index g is A[g] + v A_speed[g], likewise B. There
-    is one, of which the speed is part already, unless the motion of the reference is known.
+    There are G kinds of robots. The model of a kind at the speed v and the turn rate of index w is
+    A[w] + v A_speed[w], likewise B. There is one, of which the speed is part already, unless the
+    motion of the reference is known.
     """
 
     is_on: bool
     is_known: bool  # whether the reference's motion is known
     all_arrive: bool  # whether every measurement up to the newest arrives
-    A: NDArray[np.float64]  # (G, N, N)
-    A_speed: NDArray[np.float64]  # (G, N, N)
-    B: NDArray[np.float64]  # (G, N, m)
-    B_speed: NDArray[np.float64]  # (G, N, m)
-    process_covariance: NDArray[np.float64]  # (N, N)
-    measurement_variance: NDArray[np.float64]  # (n,)
-    gain: NDArray[np.float64]  # (N, n) of the stationary filter
-    regulator: NDArray[np.float64]  # (m, N)
-    straight: NDArray[np.float64]  # (N, N) A of the design, a straight line at its speed
-    covariance: NDArray[np.float64]  # (N, N) of the stationary filter's error
+    A: NDArray[np.float64]  # (G, W, N, N)
+    A_speed: NDArray[np.float64]  # (G, W, N, N)
+    B: NDArray[np.float64]  # (G, W, N, m)
+    B_speed: NDArray[np.float64]  # (G, W, N, m)
+    process_covariance: NDArray[np.float64]  # (G, N, N)
+    measurement_variance: NDArray[np.float64]  # (G, n)
+    gain: NDArray[np.float64]  # (G, N, n) of the stationary filter
+    regulator: NDArray[np.float64]  # (G, m, N)
+    straight: NDArray[np.float64]  # (G, N, N) A of the design, a straight line at its speed
+    covariance: NDArray[np.float64]  # (G, N, N) of the stationary filter's error
     position_states: NDArray[np.int64]  # whose errors make the position error
     first_value: int  # of `estimate_fields` in `state.model_values[env]`
 
 
 def no_filter(num_inputs: int) -> FilterConstants:
     """Return the constants of a loop without a filter: arrays of size 0."""
-    nothing = np.zeros((0, 0))
-    A, B = np.zeros((1, 0, 0)), np.zeros((1, 0, num_inputs))
+    nothing = np.zeros((1, 0, 0))
+    A, B = np.zeros((1, 1, 0, 0)), np.zeros((1, 1, 0, num_inputs))
     return FilterConstants(
         is_on=False,
         is_known=False,
@@ -65,9 +66,9 @@ def no_filter(num_inputs: int) -> FilterConstants:
         B=B,
         B_speed=B,
         process_covariance=nothing,
-        measurement_variance=np.zeros(0),
+        measurement_variance=np.zeros((1, 0)),
         gain=nothing,
-        regulator=np.zeros((num_inputs, 0)),
+        regulator=np.zeros((1, num_inputs, 0)),
         straight=nothing,
         covariance=nothing,
         position_states=np.zeros(0, np.int64),
@@ -85,9 +86,9 @@ class FilterMemory(NamedTuple):
     arrived: NDArray[np.bool_]  # (E, R, samples + 1) measurements, where not all arrive
     predicted: NDArray[np.float64]  # (E, R, N) estimate of the last control sample
     spread: NDArray[np.float64]  # (E, R, N, N) covariance of its error, likewise
-    std_by_age: NDArray[np.float64]  # (ages,) of a prediction where all arrive, as known
-    num_ages: NDArray[np.int64]  # (1,) of which it is known
-    ahead: NDArray[np.float64]  # (N, N) covariance at the last of these
+    std_by_age: NDArray[np.float64]  # (G, ages) of a prediction where all arrive, as known
+    num_ages: NDArray[np.int64]  # (G,) of which it is known
+    ahead: NDArray[np.float64]  # (G, N, N) covariance at the last of these
     planned: NDArray[np.float64]  # (N,) and all below: work arrays
     scratch: NDArray[np.float64]  # (N,)
     A: NDArray[np.float64]  # (N, N)
@@ -102,9 +103,10 @@ def filter_memory(
     inputs: int,
     ahead: int = 0,
     *,
+    kinds: int,
     is_known: bool,
 ) -> FilterMemory:
-    """Return the memory of filters of `size` states: nothing yet.
+    """Return the memory of filters of `size` states, of so many kinds of robots: nothing yet.
 
     Predictions go up to `ahead` samples beyond the present.
     """
@@ -117,9 +119,9 @@ def filter_memory(
         arrived=np.zeros((*of_robot, samples + 1 if size else 0), np.bool_),
         predicted=np.zeros(states),
         spread=np.zeros(matrix),
-        std_by_age=np.zeros(samples + 1 + ahead if size else 0),
-        num_ages=np.zeros(1, np.int64),
-        ahead=np.zeros((size, size)),
+        std_by_age=np.zeros((kinds, samples + 1 + ahead if size else 0)),
+        num_ages=np.zeros(kinds, np.int64),
+        ahead=np.zeros((kinds, size, size)),
         planned=np.zeros(size),
         scratch=np.zeros(size),
         A=np.zeros((size, size)),
@@ -147,19 +149,19 @@ def estimate_now(
     until a measurement arrives, the robot is known to stand on its reference.
     """
     _filter(loop, memory, sample, sample - delay_steps, env, robot)
-    me, own = loop.filter, memory.filter
+    own = memory.filter
     predicted, spread = own.predicted[env, robot], own.spread[env, robot]
     copy(own.estimate[env, robot], predicted)
     copy(own.covariance[env, robot].reshape(-1), spread.reshape(-1))
     for stamp in range(max(own.filtered[env, robot] - 1, 0), until):
-        advance(me, own, predicted, inputs[stamp], min(stamp, sample), env, robot)
-        _widen(me, own, spread)
+        advance(loop, own, predicted, inputs[stamp], min(stamp, sample), env, robot)
+        _widen(loop, own, spread, robot)
 
 
 @inner_kernel()
 def _filter(loop: Any, memory: Any, sample: int, newest: int, env: int, robot: int) -> None:
     """Bring a robot's estimate to its newest measurement, that of the sample `newest`."""
-    me, own = loop.filter, memory.filter
+    me, own, kind = loop.filter, memory.filter, loop.kind[robot]
     history, commands = memory.history[env, robot], memory.commands[env, robot]
     estimate, covariance = own.estimate[env, robot], own.covariance[env, robot]
     last = min(sample, newest + loop.stamp_error)
@@ -168,21 +170,22 @@ def _filter(loop: Any, memory: Any, sample: int, newest: int, env: int, robot: i
             last -= 1
     for stamp in range(own.filtered[env, robot], last + 1):
         if stamp > 0:
-            advance(me, own, estimate, commands[stamp - 1], stamp - 1, env, robot)
-            _widen(me, own, covariance)
+            advance(loop, own, estimate, commands[stamp - 1], stamp - 1, env, robot)
+            _widen(loop, own, covariance, robot)
         own.filtered[env, robot] = stamp + 1
         taken = stamp - loop.stamp_error
         if not 0 <= taken <= newest:
             continue
         if me.all_arrive:
-            _correct(me.gain, own.scratch, estimate, history[taken])
+            _correct(me.gain[kind], own.scratch, estimate, history[taken])
         elif own.arrived[env, robot, taken]:
-            _update(me, own.scratch, estimate, covariance, history[taken])
+            variance = me.measurement_variance[kind]
+            _update(variance, own.scratch, estimate, covariance, history[taken])
 
 
 @inner_kernel()
 def note_estimate(
-    me: FilterConstants,
+    loop: Any,
     memory: FilterMemory,
     ahead: int,
     values: NDArray[np.float64],
@@ -194,11 +197,12 @@ def note_estimate(
 
     It is the state for which a command was made, `ahead` of the sample.
     """
-    num_robots, n = memory.filtered.shape[1], me.measurement_variance.shape[0]
+    me, kind = loop.filter, loop.kind[robot]
+    num_robots, n = memory.filtered.shape[1], me.measurement_variance.shape[1]
     age = sample + ahead - (memory.filtered[env, robot] - 1)
     if me.all_arrive:
-        _know_ages(me, memory, age)
-        std = memory.std_by_age[age]
+        _know_ages(me, memory, age, kind)
+        std = memory.std_by_age[kind, age]
     else:
         std = _position_std(me, memory.spread[env, robot])
     place = me.first_value + robot
@@ -209,15 +213,16 @@ def note_estimate(
 
 
 @inner_kernel()
-def _know_ages(me: FilterConstants, memory: FilterMemory, age: int) -> None:
-    """Fill `memory.std_by_age` up to an age in samples, as on a straight line."""
-    for known in range(memory.num_ages[0], age + 1):
+def _know_ages(me: FilterConstants, memory: FilterMemory, age: int, kind: int) -> None:
+    """Fill a kind's `memory.std_by_age` up to an age in samples, as on a straight line."""
+    ahead = memory.ahead[kind]
+    for known in range(memory.num_ages[kind], age + 1):
         if known == 0:
-            copy(me.covariance.reshape(-1), memory.ahead.reshape(-1))
+            copy(me.covariance[kind].reshape(-1), ahead.reshape(-1))
         else:
-            _spread(me, me.straight, memory.product, memory.ahead)
-        memory.std_by_age[known] = _position_std(me, memory.ahead)
-        memory.num_ages[0] = known + 1
+            _spread(me.process_covariance[kind], me.straight[kind], memory.product, ahead)
+        memory.std_by_age[kind, known] = _position_std(me, ahead)
+        memory.num_ages[kind] = known + 1
 
 
 @inner_kernel()
@@ -249,7 +254,7 @@ def note_arrivals(
 
 @inner_kernel()
 def advance(
-    me: FilterConstants,
+    loop: Any,
     memory: FilterMemory,
     state: NDArray[np.float64],
     command: NDArray[np.float64],
@@ -258,22 +263,24 @@ def advance(
     robot: int,
 ) -> None:
     """Predict a state (N,) over the interval that begins with a sample, in place."""
-    A, B = me.A[0], me.B[0]
+    me, kind = loop.filter, loop.kind[robot]
+    A, B = me.A[kind, 0], me.B[kind, 0]
     if me.is_known:
         A, B = memory.A, memory.B
-        _form_model(me, memory, memory.motion[env, robot, sample])
+        _form_model(me, memory, memory.motion[env, robot, sample], kind)
     _move(A, B, memory.scratch, state, command)
 
 
 @inner_kernel()
-def _widen(me: FilterConstants, memory: FilterMemory, covariance: NDArray[np.float64]) -> None:
+def _widen(loop: Any, memory: FilterMemory, covariance: NDArray[np.float64], robot: int) -> None:
     """Predict a covariance over the interval of the last `advance`, unless it is stationary."""
+    me, kind = loop.filter, loop.kind[robot]
     if me.all_arrive:
         return
-    A = me.A[0]
+    A = me.A[kind, 0]
     if me.is_known:
         A = memory.A
-    _spread(me, A, memory.product, covariance)
+    _spread(me.process_covariance[kind], A, memory.product, covariance)
 
 
 @inner_kernel()
@@ -289,18 +296,20 @@ def regulate(
 
 
 @inner_kernel()
-def _form_model(me: FilterConstants, memory: FilterMemory, motion: NDArray[np.float64]) -> None:
+def _form_model(
+    me: FilterConstants, memory: FilterMemory, motion: NDArray[np.float64], kind: int
+) -> None:
     """Put the model of an interval into the work arrays: `motion` (2,) is that of the reference."""
     speed, turn_rate = motion[0], motion[1]
     if not abs(turn_rate) <= MAX_TURN_RATE_RADPS:
         raise ValueError("a reference turns at more than 25.6 rad/s, which known_motion allows")
-    g = np.int64(np.rint((turn_rate + MAX_TURN_RATE_RADPS) / MOTION_STEP_RADPS))
+    w = np.int64(np.rint((turn_rate + MAX_TURN_RATE_RADPS) / MOTION_STEP_RADPS))
     A, B = memory.A, memory.B
     for i in range(A.shape[0]):
         for j in range(A.shape[1]):
-            A[i, j] = me.A[g, i, j] + speed * me.A_speed[g, i, j]
+            A[i, j] = me.A[kind, w, i, j] + speed * me.A_speed[kind, w, i, j]
         for j in range(B.shape[1]):
-            B[i, j] = me.B[g, i, j] + speed * me.B_speed[g, i, j]
+            B[i, j] = me.B[kind, w, i, j] + speed * me.B_speed[kind, w, i, j]
 
 
 @inner_kernel()
@@ -325,12 +334,12 @@ def _move(
 
 @inner_kernel()
 def _spread(
-    me: FilterConstants,
+    noise: NDArray[np.float64],
     A: NDArray[np.float64],
     product: NDArray[np.float64],
     covariance: NDArray[np.float64],
 ) -> None:
-    """Predict a covariance (N, N) over a sample, in place: A P A^T + W."""
+    """Predict a covariance (N, N) over a sample, in place: A P A^T + W, the process noise."""
     size = covariance.shape[0]
     for i in range(size):
         for j in range(size):
@@ -340,7 +349,7 @@ def _spread(
             product[i, j] = total
     for i in range(size):
         for j in range(i + 1):
-            total = me.process_covariance[i, j]
+            total = noise[i, j]
             for k in range(size):
                 total += product[i, k] * A[j, k]
             covariance[i, j] = total
@@ -364,7 +373,7 @@ def _correct(
 
 @inner_kernel()
 def _update(
-    me: FilterConstants,
+    variance: NDArray[np.float64],
     gain: NDArray[np.float64],
     state: NDArray[np.float64],
     covariance: NDArray[np.float64],
@@ -372,11 +381,12 @@ def _update(
 ) -> None:
     """Correct a state (N,) and its covariance (N, N) by a measurement (n,), in place.
 
-    One component after the other: their errors are independent, and no matrix is inverted.
+    Its errors have the variances (n,). One component after the other: the errors are independent,
+    and no matrix is inverted.
     """
     size = state.shape[0]
     for j in range(measured.shape[0]):
-        scale = 1.0 / (covariance[j, j] + me.measurement_variance[j])
+        scale = 1.0 / (covariance[j, j] + variance[j])
         for i in range(size):
             gain[i] = covariance[i, j] * scale
         innovation = measured[j] - state[j]

@@ -28,20 +28,24 @@ from hiersched.models.plant.estimator import (
 
 
 class LoopConstants(NamedTuple):
-    """What all plants need of the loop; n states, m inputs, delays of up to T_max samples."""
+    """What all plants need of the loop; n states, m inputs, delays of up to T_max samples.
+
+    Tables have T_max + 1 entries for each kind of robot, J in all.
+    """
 
     sampling_s: float
     core_latency_s: float
     max_delay_steps: int
-    local_gain: NDArray[np.float64]  # (T_max + 1, m, n) on the present measurement
-    network_gain: NDArray[np.float64]  # (T_max + 1, m, n) on the delayed measurement
-    input_gain: NDArray[np.float64]  # (T_max + 1, T_max, m, m) on past commands, the newest first
+    kind: NDArray[np.int64]  # (R,) of each robot
+    local_gain: NDArray[np.float64]  # (J, m, n) on the present measurement
+    network_gain: NDArray[np.float64]  # (J, m, n) on the delayed measurement
+    input_gain: NDArray[np.float64]  # (J, T_max, m, m) on past commands, the newest first
     has_memory: bool  # whether any of `input_gain` is not 0
     hold_samples: int  # for which an entry of the tables is held
     stamp_error: int  # samples by which measurements are newer in the controller's belief
     is_local: bool  # whether the loop closes on the robot, without delay
     by_age: bool  # whether the delay is the age of the newest packet delivered
-    adjusted_delay_steps: NDArray[np.uint32]  # (T_max + 1,) T, but 0 where its gain is the nominal
+    adjusted_delay_steps: NDArray[np.uint32]  # (J,) T, but 0 where its gain is the nominal
     filter: FilterConstants  # of the method lqg, in place of the tables
     link: LinkConstants  # what of its feedback crosses the network
 
@@ -71,7 +75,7 @@ def steps_of_delay(delay_s: float, sampling_s: float) -> int:
 
 @kernel()
 def entry_in_force(loop: LoopConstants, delay_steps: int, held: NDArray[np.int64]) -> int:
-    """Entry of the tables for a delay: at most T_max, or a longer one that is held.
+    """Entry of a kind's tables for a delay: at most T_max, or a longer one that is held.
 
     That of `control.hold_step`, whose state is `held` (2,).
     """
@@ -148,6 +152,7 @@ def close_loop(
     delay_steps = int(slot.delay_steps[robot])
     believed_steps = max(0, delay_steps - loop.stamp_error)
     entry = entry_in_force(loop, believed_steps, memory.held[env, robot])
+    entry += loop.kind[robot] * (loop.max_delay_steps + 1)
     if loop.filter.is_on:
         _control_by_filter(memory, limits, loop, sample, delay_steps, env, robot)
     else:
@@ -182,7 +187,7 @@ def _control_by_filter(
         inputs = memory.commands[env, robot]
         estimate_now(loop, memory, inputs, sample, sample, delay_steps, env, robot)
         predicted = memory.filter.predicted[env, robot]
-        regulate(loop.filter.regulator, predicted, memory.control[env, robot])
+        regulate(loop.filter.regulator[loop.kind[robot]], predicted, memory.control[env, robot])
         return
     assume_inputs(loop, memory, sample, env, robot)
     inputs, until = memory.link.assumed[env, robot], sample + memory.link.ahead[env, robot]
@@ -201,6 +206,6 @@ def note_loop(
     """
     if loop.filter.is_on:
         values, ahead = state.model_values[env], memory.link.ahead[env, robot]
-        note_estimate(loop.filter, memory.filter, ahead, values, sample, env, robot)
+        note_estimate(loop, memory.filter, ahead, values, sample, env, robot)
         if loop.link.kind != MEASUREMENTS:
             note_link(loop, memory, values, sample, env, robot)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 
 from hiersched.core.compiled import inner_kernel
@@ -36,14 +36,14 @@ if TYPE_CHECKING:
 
 
 class LinearWords(NamedTuple):
-    """Parameters and state of R plants in each of E worlds; n states, m inputs."""
+    """Parameters and state of R plants in each of E worlds; G kinds, n states, m inputs."""
 
-    A: NDArray[np.float64]
-    A_d: NDArray[np.float64]
-    B: NDArray[np.float64]
-    process_noise: NDArray[np.float64]  # (n,) standard deviations a sample
-    measurement_noise: NDArray[np.float64]  # (n,)
-    input_limits: NDArray[np.float64]  # (m,)
+    A: NDArray[np.float64]  # (G, n, n)
+    A_d: NDArray[np.float64]  # (G, n, n)
+    B: NDArray[np.float64]  # (G, n, m)
+    process_noise: NDArray[np.float64]  # (G, n) standard deviations a sample
+    measurement_noise: NDArray[np.float64]  # (G, n)
+    input_limits: NDArray[np.float64]  # (G, m)
     error_states: NDArray[np.int64]
     slots_per_sample: int
     slots_per_window: int
@@ -56,6 +56,7 @@ class LinearWords(NamedTuple):
 
 
 Index = Annotated[int, Field(ge=0)]
+_DESIGN_KEYS = ("A", "A_d", "B", "Q", "R")
 
 
 @PLANT.model
@@ -103,7 +104,11 @@ class Linear(Plant):
         ),
     ]
 
-    design_keys: ClassVar[tuple[str, ...] | None] = ("A", "A_d", "B", "Q", "R")
+    design_keys: ClassVar[tuple[str, ...] | None] = _DESIGN_KEYS
+    kind_keys: ClassVar[tuple[str, ...]] = tuple(
+        f"plant.{name}"
+        for name in (*_DESIGN_KEYS, "process_noise", "measurement_noise", "input_limits")
+    )
 
     def loop(self, scenario: Scenario) -> Literal["network", "split"]:
         """Return ``split`` where A_d says what the network delays."""
@@ -213,15 +218,21 @@ class Linear(Plant):
         n, m, num_normals = self.sizes(scenario)
         num_robots, slot_s = scenario.users.num_urllc, scenario.radio.slot_s
         memory = setup.loop_memory(n, m)
-        arrays = {
-            name: np.zeros((n, n)) if value is None else np.array(value, dtype=np.float64)
-            for name in ("A", "A_d", "B", "process_noise", "measurement_noise")
-            for value in [getattr(self, name)]
-        }
-        limits = self.input_limits
+
+        def of_kinds(name: str, unless_given: ArrayLike = np.nan) -> NDArray[np.float64]:
+            def value(own: Scenario) -> ArrayLike:
+                given: ArrayLike | None = getattr(own.plant, name)
+                return unless_given if given is None else given
+
+            return setup.of_kinds(value)
+
         return LinearWords(
-            **arrays,
-            input_limits=np.full(m, np.inf) if limits is None else np.array(limits, np.float64),
+            A=of_kinds("A"),
+            A_d=of_kinds("A_d", np.zeros((n, n))),
+            B=of_kinds("B"),
+            process_noise=of_kinds("process_noise"),
+            measurement_noise=of_kinds("measurement_noise"),
+            input_limits=of_kinds("input_limits", np.full(m, np.inf)),
             error_states=np.array(self.error_states, np.int64),
             slots_per_sample=round(scenario.control.sampling_s / slot_s),
             slots_per_window=round(scenario.robot.window_s / slot_s),
@@ -283,18 +294,19 @@ def _sample(
 
     Of its normals the first n are the process noise, the others that of the measurement.
     """
-    n, m = me.B.shape
+    kind, n, m = constants.loop.kind[robot], me.B.shape[1], me.B.shape[2]
     history, normals = me.memory.history[env, robot], slot.robot_normal[robot]
     body, past, control = me.state[env, robot], me.past[env, robot], me.memory.control[env, robot]
     copy(body, past[sample])
     for j in range(n):
-        history[sample, j] = body[j] + me.measurement_noise[j] * np.float64(normals[n + j])
-    close_loop(me.memory, me.input_limits, constants.loop, state, slot, sample, env, robot)
+        history[sample, j] = body[j] + me.measurement_noise[kind, j] * np.float64(normals[n + j])
+    limits = me.input_limits[kind]
+    close_loop(me.memory, limits, constants.loop, state, slot, sample, env, robot)
     late = past[late_place(sample, int(slot.delay_steps[robot]), history.shape[0])]
     for i in range(n):
-        value = me.process_noise[i] * np.float64(normals[i])
+        value = me.process_noise[kind, i] * np.float64(normals[i])
         for j in range(n):
-            value += me.A[i, j] * body[j] + me.A_d[i, j] * late[j]
+            value += me.A[kind, i, j] * body[j] + me.A_d[kind, i, j] * late[j]
         for j in range(m):
-            value += me.B[i, j] * control[j]
+            value += me.B[kind, i, j] * control[j]
         me.coming[env, robot, i] = value

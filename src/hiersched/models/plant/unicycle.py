@@ -49,11 +49,13 @@ LANES = 16
 """Robots that move side by side. A block of them is one flat array, field after field: with offsets
 that the compiler knows, it proves that fields do not overlap, and uses whole vectors."""
 
-STATE, SLIP, CONTROL, WINDOW_SUMS, SLOT_SQUARE, NORMALS, _END = (
-    LANES * place for place in (0, 5, 7, 9, 12, 13, 18)
+STATE, SLIP, CONTROL, WINDOW_SUMS, SLOT_SQUARE, NORMALS, LAG, SLIP_STEP, _END = (
+    LANES * place for place in (0, 5, 7, 9, 12, 13, 18, 20, 23)
 )
 """Where the fields of a block begin: state (5), slip (2), control (2), window sums (3), the
-slot's sum of squared position errors, normals (5), each LANES times."""
+slot's sum of squared position errors, normals (5), then what each robot is: what an actuator's
+departure leaves, on average over a step and at its end (2), by what the slip is multiplied in a
+slot, and the normals that come to it (3); each LANES times."""
 
 NUM_PATH = 6
 """What a block gathers of each step's reference: the rows of `UnicycleWords.path`, of which the
@@ -70,14 +72,9 @@ class UnicycleWords(NamedTuple):
     steps_per_slot: int
     steps_per_sample: int
     steps_per_window: int
-    lag_decay: float
-    lag_mean: float
-    slip_decay: float
-    slip_gain_mps: float
-    slip_gain_radps: float
-    noise_position_m: float
-    noise_heading_rad: float
-    input_limits: NDArray[np.float64]  # (2,) m/s and rad/s
+    noise_position_m: NDArray[np.float64]  # (R,)
+    noise_heading_rad: NDArray[np.float64]  # (R,)
+    input_limits: NDArray[np.float64]  # (R, 2) m/s and rad/s
     set_point: int  # code in `SET_POINTS`
     is_spread: bool  # whether control samples have phases
     phase: NDArray[np.int64]  # (R,) of each robot's control samples, in steps
@@ -86,7 +83,7 @@ class UnicycleWords(NamedTuple):
     newest: NDArray[np.int64]  # (E, R) slot whose set-point was the last to reach the queue
     peak: NDArray[np.int64]  # (E, R) slot of the fastest set-point that waits
     operator: OperatorWords  # references
-    lanes: NDArray[np.float64]  # (E, blocks, 18 LANES) blocks of LANES robots
+    lanes: NDArray[np.float64]  # (E, blocks, 23 LANES) blocks of LANES robots
     memory: LoopMemory
     normals: NormalScratch
     gathered: NDArray[np.float64]  # reference of one block over one slot
@@ -108,6 +105,14 @@ ACTUATOR_NOISE = 1e-3
 POSE_DRIFT, ACTUATOR_DRIFT = 1e-4, 1e-5
 """Standard deviations that a filter adds to each state every sample: they keep it awake."""
 
+ROBOT_KEYS = (
+    *("actuator_lag_s", "max_speed_mps", "max_turn_rate_radps"),
+    *("slip_speed_mps", "slip_turn_rate_radps", "slip_time_s"),
+    *("noise_position_m", "noise_heading_rad"),
+)
+BELIEVED_KEYS = ("lag_s", "slip_speed_mps", "slip_turn_rate_radps", "slip_time_s")
+"""In what robots may differ, and in what is believed of them."""
+
 POSE_STATES = (0, 1, 2)
 """What the operator of a split plant feeds back: the pose that the video shows."""
 
@@ -125,6 +130,10 @@ class Unicycle(Plant):
     has_pose: ClassVar[bool] = True
     chooses_loop: ClassVar[bool] = True
     num_disturbances: ClassVar[int] = NUM_SLIP
+    kind_keys: ClassVar[tuple[str, ...]] = (
+        *(f"robot.{name}" for name in ROBOT_KEYS),
+        *(f"control.believed_{name}" for name in BELIEVED_KEYS),
+    )
 
     def sizes(self, scenario: Scenario) -> tuple[int, int, int]:
         """Return five states, two inputs, and five normals: two of slip, three of measurement."""
@@ -211,22 +220,16 @@ class Unicycle(Plant):
         steps_per_sample = round(control.sampling_s / step_s)
         of_robots = (setup.num_envs, num_robots)
         reported_slots = math.ceil(robot.core_latency_s / slot_s - 1e-9)
-        decay = math.exp(-step_s / robot.actuator_lag_s)
-        slip_decay = math.exp(-slot_s / robot.slip_time_s)
-        slip_spread = float(np.sqrt(1.0 - slip_decay**2))
         return UnicycleWords(
             step_s=step_s,
             steps_per_slot=steps_per_slot,
             steps_per_sample=steps_per_sample,
             steps_per_window=round(robot.window_s / step_s),
-            lag_decay=decay,
-            lag_mean=(1.0 - decay) * robot.actuator_lag_s / step_s,
-            slip_decay=slip_decay,
-            slip_gain_mps=robot.slip_speed_mps * slip_spread,
-            slip_gain_radps=robot.slip_turn_rate_radps * slip_spread,
-            noise_position_m=robot.noise_position_m,
-            noise_heading_rad=robot.noise_heading_rad,
-            input_limits=np.array([robot.max_speed_mps, robot.max_turn_rate_radps]),
+            noise_position_m=setup.of_robots(lambda own: own.robot.noise_position_m),
+            noise_heading_rad=setup.of_robots(lambda own: own.robot.noise_heading_rad),
+            input_limits=setup.of_robots(
+                lambda own: (own.robot.max_speed_mps, own.robot.max_turn_rate_radps)
+            ),
             set_point=SET_POINTS.index(robot.set_point),
             is_spread=control.sample_phases == "spread",
             phase=np.arange(num_robots) * steps_per_sample // num_robots,
@@ -235,7 +238,7 @@ class Unicycle(Plant):
             newest=np.zeros(of_robots, np.int64),
             peak=np.zeros(of_robots, np.int64),
             operator=operator_words(setup),
-            lanes=np.zeros((setup.num_envs, -(-num_robots // LANES), _END)),
+            lanes=_lanes(setup),
             memory=setup.loop_memory(NUM_STATES, NUM_INPUTS),
             normals=normal_scratch(num_robots, 5),
             gathered=np.zeros(steps_per_slot * NUM_PATH * LANES),
@@ -244,9 +247,34 @@ class Unicycle(Plant):
     def reset(self, words: UnicycleWords, keys: NDArray[np.uint64]) -> None:
         """As in `Model`: robots at rest on their reference."""
         draw_references(words.operator, keys)
-        for values in (words.lanes, words.reported, words.newest, words.peak):
+        for values in (words.lanes[..., :LAG], words.reported, words.newest, words.peak):
             values[...] = 0
         forget(words.memory)
+
+
+def _lanes(setup: Setup) -> NDArray[np.float64]:
+    """Return blocks of robots at rest, each with what it is."""
+    slot_s, step_s = setup.scenario.radio.slot_s, setup.scenario.robot.substep_s
+
+    def constants(own: Scenario) -> tuple[float, ...]:
+        robot = own.robot
+        decay = math.exp(-step_s / robot.actuator_lag_s)
+        slip_decay = math.exp(-slot_s / robot.slip_time_s)
+        spread = math.sqrt(1.0 - slip_decay**2)
+        return (
+            (1.0 - decay) * robot.actuator_lag_s / step_s,
+            decay,
+            slip_decay,
+            robot.slip_speed_mps * spread,
+            robot.slip_turn_rate_radps * spread,
+        )
+
+    of_robots = setup.of_robots(constants)
+    lanes = np.zeros((setup.num_envs, -(-len(of_robots) // LANES), _END))
+    for robot, values in enumerate(of_robots):
+        block, lane = divmod(robot, LANES)
+        lanes[:, block, LAG + lane :: LANES] = values
+    return lanes
 
 
 @inner_kernel(forceinline=True)
@@ -286,12 +314,11 @@ def _start_slot(
                 me.gathered[to] = path[held, 4]
                 me.gathered[to + LANES] = path[held, 0] - path[place + step, 0]
     for lane in range(LANES):
-        lanes[SLIP + lane] = (
-            me.slip_decay * lanes[SLIP + lane] + me.slip_gain_mps * lanes[NORMALS + lane]
-        )
+        decay = lanes[SLIP_STEP + lane]
+        gain_mps, gain_radps = lanes[SLIP_STEP + LANES + lane], lanes[SLIP_STEP + 2 * LANES + lane]
+        lanes[SLIP + lane] = decay * lanes[SLIP + lane] + gain_mps * lanes[NORMALS + lane]
         lanes[SLIP + LANES + lane] = (
-            me.slip_decay * lanes[SLIP + LANES + lane]
-            + me.slip_gain_radps * lanes[NORMALS + LANES + lane]
+            decay * lanes[SLIP + LANES + lane] + gain_radps * lanes[NORMALS + LANES + lane]
         )
         lanes[SLOT_SQUARE + lane] = 0.0
 
@@ -355,9 +382,9 @@ def _sample(
     now = me.memory.history[env, robot, sample]
     for j in range(NUM_STATES):
         now[j] = lanes[STATE + j * LANES + lane]
-    now[0] += me.noise_position_m * lanes[NORMALS + 2 * LANES + lane]
-    now[1] += me.noise_position_m * lanes[NORMALS + 3 * LANES + lane]
-    now[2] += me.noise_heading_rad * lanes[NORMALS + 4 * LANES + lane]
+    now[0] += me.noise_position_m[robot] * lanes[NORMALS + 2 * LANES + lane]
+    now[1] += me.noise_position_m[robot] * lanes[NORMALS + 3 * LANES + lane]
+    now[2] += me.noise_heading_rad[robot] * lanes[NORMALS + 4 * LANES + lane]
     place = me.operator.offset[env, robot] + step
     reference = place
     if me.set_point != PRESENT:
@@ -367,7 +394,7 @@ def _sample(
         middle = min(reference + me.steps_per_sample // 2, me.operator.path.shape[0] - 1)
         me.memory.filter.motion[env, robot, sample, 0] = me.operator.path[middle, 4]
         me.memory.filter.motion[env, robot, sample, 1] = me.operator.path[middle, 0]
-    close_loop(me.memory, me.input_limits, loop, state, slot, sample, env, robot)
+    close_loop(me.memory, me.input_limits[robot], loop, state, slot, sample, env, robot)
     for i in range(NUM_INPUTS):
         lanes[CONTROL + i * LANES + lane] = me.memory.control[env, robot, i]
 
@@ -381,13 +408,14 @@ def _move_lanes(me: UnicycleWords, path: NDArray[np.float64], lanes: NDArray[np.
     the step, the slot's sum by the first of them. Speed and turn rate depart from those of the
     set-point in force, whose own the robot follows at once.
     """
-    step_s, lag_mean, lag_decay = me.step_s, me.lag_mean, me.lag_decay
+    step_s = me.step_s
     for lane in range(LANES):
         turn_rate = path[lane]
         c = path[LANES + lane]
         s = path[2 * LANES + lane]
         chord = path[3 * LANES + lane]
         speed = path[4 * LANES + lane]
+        lag_mean, lag_decay = lanes[LAG + lane], lanes[LAG + LANES + lane]
         control_v = lanes[CONTROL + lane]
         control_w = lanes[CONTROL + LANES + lane]
         heading = lanes[STATE + 2 * LANES + lane]
