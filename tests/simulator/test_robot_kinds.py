@@ -2,14 +2,23 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hiersched.control import GainSchedule
 from hiersched.core.randomness import world_keys
-from hiersched.scenario import ScenarioError, kinds_of_robots, load_scenario, with_values
+from hiersched.scenario import (
+    ScenarioError,
+    kinds_of_robots,
+    load_resolved,
+    load_scenario,
+    scenario_to_dict,
+    with_values,
+)
 from hiersched.scenario.schema import RobotKind
 from hiersched.simulator import Simulator
 from hiersched.simulator.gain_source import check_gains, design_schedule, scenario_key
@@ -30,10 +39,11 @@ FAST = {"robot.actuator_lag_s": 0.05, "robot.noise_heading_rad": 0.02}
 
 def with_kinds(scenario, **kinds):
     """Let robots differ; kinds are name -> (robots, values)."""
-    data = {
+    data = scenario_to_dict(scenario)
+    data["robot_kinds"] = {
         name: {"robots": list(robots), "values": values} for name, (robots, values) in kinds.items()
     }
-    return with_values(scenario, {"robot_kinds": data}, "test")
+    return load_resolved(json.dumps(data), Path("test"))[0]
 
 
 def run(scenario, schedule, slots=SLOTS):

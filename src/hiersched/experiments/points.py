@@ -21,7 +21,15 @@ from hiersched.core.randomness import STREAM_DELAY, draw_uniforms
 from hiersched.policies.registry import Rule
 from hiersched.scenario import Scenario, ScenarioError, with_values
 from hiersched.scenario.consistency import inconsistencies
-from hiersched.scenario.schema import Family, GainMethod, Users, Worlds, delay_steps, hold_of
+from hiersched.scenario.schema import (
+    Family,
+    GainMethod,
+    RobotKind,
+    Users,
+    Worlds,
+    delay_steps,
+    hold_of,
+)
 
 Gain = Literal["nominal", "adjusted"]
 Cell: TypeAlias = tuple[int, int, int]
@@ -337,6 +345,7 @@ def cell_scenario(scenario: Scenario, cell: Cell) -> Scenario:
     variant = replace(
         scenario,
         users=Users(num_urllc=num_urllc, num_embb=num_embb),
+        robot_kinds=_repeated_kinds(scenario, num_urllc),
         radio=replace(radio, num_prb=num_prb, bandwidth_hz=bandwidth_hz),
         traffic=replace(
             traffic,
@@ -345,6 +354,20 @@ def cell_scenario(scenario: Scenario, cell: Cell) -> Scenario:
         ),
     )
     return _checked(variant, f"generalise.cells = {list(cell)}")
+
+
+def _repeated_kinds(scenario: Scenario, num_robots: int) -> dict[str, RobotKind]:
+    """Return the kinds of so many robots: those of the scenario again and again."""
+    row = scenario.kind_of_robot
+    kinds = {
+        name: [robot for robot in range(num_robots) if row[robot % len(row)] == number]
+        for number, name in enumerate(scenario.robot_kinds, 1)
+    }
+    return {
+        name: replace(scenario.robot_kinds[name], robots=tuple(robots))
+        for name, robots in kinds.items()
+        if robots
+    }
 
 
 def _spread(offered_mbps: float | tuple[float, ...], count: int) -> float | tuple[float, ...]:
@@ -575,6 +598,7 @@ def robots_alone(scenario: Scenario, num_robots: int, what: str) -> Scenario:
     variant = replace(
         scenario,
         users=Users(num_urllc=num_robots, num_embb=1),
+        robot_kinds=_repeated_kinds(scenario, num_robots),
         radio=replace(scenario.radio, num_prb=num_robots + 1),
         traffic=traffic,
     )
