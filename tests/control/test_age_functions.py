@@ -18,7 +18,7 @@ from hiersched.control.age_certificate import (
     remainder_bounds,
 )
 from hiersched.control.age_functions import search_age_functions
-from hiersched.models.plant.error_model import discretise, unicycle_error_model
+from hiersched.models.plant.error_model import discretise, unicycle_error_model, unicycle_family
 
 A, B = np.array([[1.0, 0.1], [0.0, 0.9]]), np.array([[0.005], [0.1]])
 
@@ -81,33 +81,24 @@ def test_ages_rise_by_one_and_fall_at_once():
 # The plants of a box.
 
 
-def unicycles(h):
-    """The unicycle by turn rate in rad/s and 1 / lag in 1/s."""
-    turn, slow = np.zeros((2, 5, 5))
-    turn[0, 1], turn[1, 0] = 1.0, -1.0
-    slow[3, 3] = slow[4, 4] = -1.0
-    still = unicycle_error_model(1.0, 0.0, 1.0)[0] - slow
-    inputs = np.zeros((3, 5, 2))
-    inputs[2, 3, 0] = inputs[2, 4, 1] = 1.0
-    return PlantFamily(A_c=[still, turn, slow], B_c=inputs, sampling_s=h)
-
-
-UNICYCLE = unicycles(0.02)
+UNICYCLE = unicycle_family(1.0, 0.02)
 WIDE = ((-4.0, 4.0), (1 / 0.15, 1 / 0.07))
 
 
 def test_the_family_is_the_unicycle():
+    """The parameters are the turn rate in rad/s and 1 / lag in 1/s."""
     generators = UNICYCLE.generators()
     exact = discretise(*unicycle_error_model(1.0, 1.7, 0.11), 0.02)
     block = expm(generators[0] + 1.7 * generators[1] + generators[2] / 0.11)
     np.testing.assert_allclose(block[:5], np.hstack(exact), atol=1e-15)
+    assert not block[5:, :5].any()
 
 
 @pytest.mark.parametrize("interval", [0.02, 0.2])
 def test_no_plant_of_a_cell_is_farther_from_the_interpolation_than_the_bound(interval):
     """1000 points of cells of all sizes, in coordinates that stretch and that do not."""
     random = np.random.default_rng(0)
-    generators, tightest = unicycles(interval).generators(), 0.0
+    generators, tightest = unicycle_family(1.0, interval).generators(), 0.0
     for _ in range(100):
         weights = 10.0 ** random.uniform(-1.0, 1.0, 7) if random.random() < 0.5 else np.ones(7)
         cell = tuple(
@@ -129,6 +120,15 @@ def test_no_plant_of_a_cell_is_farther_from_the_interpolation_than_the_bound(int
             assert size <= bound
             tightest = max(tightest, size / bound)
     assert tightest > 0.1  # and it says something
+
+
+def test_the_bound_of_a_scalar_by_hand():
+    """x' = theta x: exp(h theta) errs by about (h s)^2 / 8 exp(h theta) half-way along a side s."""
+    generators = np.array([[[0.0]], [[0.1]]])
+    (bound,) = remainder_bounds(generators, np.ones(1), ((20.0, 21.0),))
+    assert bound == pytest.approx(0.1**2 / 8.0 * np.exp(2.1), rel=1e-12)
+    error = (np.exp(2.0) + np.exp(2.1)) / 2.0 - np.exp(2.05)
+    assert 0.9 * bound < error < bound
 
 
 @pytest.fixture(scope="module")
@@ -191,6 +191,22 @@ def test_a_box_is_covered_by_cells_and_falls_as_fast_as_it_says(turning):
         before, value = value, np.linalg.norm(factors[age] @ xi)
         assert value <= found.contraction * before
     assert value < 1e-3
+
+
+def test_a_box_ends_where_functions_stop_falling(turning):
+    lqg, family = turning
+    functions = search_age_functions(lqg, [turning_at(theta) for theta in (-1.0, 1.0)], 1)
+    falls, does_not = 1.0, 30.0
+    while does_not - falls > 1e-4:
+        middle = (falls + does_not) / 2.0
+        if age_function_margin(lqg, [turning_at(middle)], functions) > 0.0:
+            falls = middle
+        else:
+            does_not = middle
+    assert certify_age_functions(lqg, family, [(0.0, falls - 1e-3)], functions).certified
+    beyond = certify_age_functions(lqg, family, [(0.0, does_not)], functions)
+    assert not beyond.certified
+    assert not beyond.falls_at_corners
 
 
 def test_the_unicycle_that_turns_is_certified_and_its_mirror_image_too():
