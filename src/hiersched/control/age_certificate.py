@@ -318,7 +318,8 @@ class _Steps:
 
     def at_corners(self, cell: Cell) -> FloatArray:
         """Return the largest norm of each step at a corner, rounding included."""
-        return np.max([self._at(theta) for theta in product(*cell)], axis=0) + self.tolerance
+        norms = np.array([self._at(theta) for theta in product(*cell)])
+        return np.asarray(norms.max(axis=0) + self.tolerance)
 
     def _at(self, theta: tuple[float, ...]) -> FloatArray:
         if theta not in self._norms:
