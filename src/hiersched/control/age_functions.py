@@ -1,111 +1,81 @@
-"""Filters in loops that are not what they believe: quadratic functions under ages that switch.
+"""Filters in loops that are not what they believe: a search for functions that fall.
 
-Separation holds for the model. With another plant the error of the estimate depends on the inputs,
-and the loop switches with the age of the newest measurement. Searched is one quadratic function for
-each age, V_d = xi^T P_d xi, that falls at every step from any age d to any that a queue can make of
-it, 1 to d + 1, for a set of plants: the loop is then stable however age and plant switch among
-these.
+What the functions are, and what certifies them, is in `hiersched.control.age_certificate`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from itertools import product
-from typing import SupportsIndex
+from typing import Any, SupportsIndex
 
 import numpy as np
 import numpy.typing as npt
 
-from hiersched.control.checks import FloatArray, as_matrix, as_samples, as_square
+from hiersched.control.age_certificate import Plant, age_mode, age_parts, age_scales, age_steps
+from hiersched.control.checks import FloatArray
 from hiersched.control.lqg import Lqg
-
-Plant = tuple[npt.ArrayLike, npt.ArrayLike]
-"""A (n, n) and B (n, m) of x(k+1) = A x(k) + B u(k)."""
-
-
-def age_mode(lqg: Lqg, plant: Plant, age: int, next_age: int, max_age: int) -> FloatArray:
-    """Return a step of the loop from an age to the next one, on xi.
-
-    xi = (x(k), ..., x(k-D), x^ at the newest stamp, u(k-1), ..., u(k-D)) with D = `max_age`. The
-    input is that of the filter's model predicted over `age`; before the next sample all
-    measurements up to its newest stamp are filtered.
-    """
-    model = lqg.model
-    n, size, m = model.num_measured, len(model.A), model.B.shape[1]
-    A, B = as_square("A", plant[0], n), as_matrix("B", plant[1], (n, m))
-    parts = [n] * (max_age + 1) + [size] + [m] * max_age
-    unit = np.split(np.eye(sum(parts)), np.cumsum(parts)[:-1])
-    states, estimate, inputs = unit[: max_age + 1], unit[max_age + 1], unit[max_age + 2 :]
-    predicted = estimate
-    for back in range(age, 0, -1):
-        predicted = model.A @ predicted + model.B @ inputs[back - 1]
-    u = -lqg.regulator @ predicted
-    filtered = estimate
-    for back in range(age, next_age - 1, -1):  # from the sample k - back to the one behind it
-        applied = inputs[back - 1] if back > 0 else u
-        before = model.A @ filtered + model.B @ applied
-        filtered = before + lqg.filter_gain @ (states[max(back - 1, 0)] - before[:n])
-    moved = [A @ states[0] + B @ u, *states[:-1], filtered, u, *inputs[:-1]]
-    return np.vstack(moved)
-
-
-def age_steps(max_age: int) -> list[tuple[int, int]]:
-    """Return the steps of an age from 1 to D that a queue makes: down at once, up by one."""
-    ages = range(1, max_age + 1)
-    return [(age, after) for age, after in product(ages, ages) if after <= age + 1]
 
 
 def search_age_functions(
-    lqg: Lqg, plants: Sequence[Plant], max_age: SupportsIndex
+    lqg: Lqg,
+    plants: Sequence[Plant],
+    max_age: SupportsIndex,
+    *,
+    mirror: tuple[npt.ArrayLike, npt.ArrayLike] | None = None,
 ) -> dict[int, FloatArray] | None:
     """Search P_d for the ages 1 to `max_age` and some plants; None where Clarabel finds none.
 
-    Only `age_function_margin` says whether they hold, for these plants and for others. The problem
-    has D matrices of n (D + 1) + N + m D rows: minutes for the unicycle from D = 3 on.
+    Only `certify_age_functions` says whether they hold, for these plants and for those between.
+    P_d has (n + m) d + N rows.
+
+    `mirror` has signs +1 and -1 of the N states and of the m inputs that change nothing in the
+    filter. V is then the same for a state and its mirror image, and what it does for a plant it
+    does for the mirrored one: of each such pair one is enough, and nothing is lost, since the mean
+    of a V and its image falls where both do.
     """
     import cvxpy as cp
 
     from hiersched.control.lmi import solve
 
-    longest = as_samples("max_age", max_age)
-    scale = _scale(lqg, longest)
-    size = len(scale)
-    P = {age: cp.Variable((size, size), symmetric=True) for age in range(1, longest + 1)}
+    scales = age_scales(lqg, max_age)
+    P = {age: _symmetric(_parity(lqg, age, mirror)) for age in scales}
     margin = cp.Variable()
-    constraints = [matrix << np.eye(size) for matrix in P.values()]
-    constraints += [matrix >> margin * np.eye(size) for matrix in P.values()]
-    for (age, after), plant in product(age_steps(longest), plants):
-        M = age_mode(lqg, plant, age, after, longest) * scale / scale[:, None]
+    constraints = [matrix << np.eye(len(scales[age])) for age, matrix in P.items()]
+    constraints += [matrix >> margin * np.eye(len(scales[age])) for age, matrix in P.items()]
+    for (age, after), plant in product(age_steps(len(scales)), plants):
+        M = age_mode(lqg, plant, age, after) * scales[age] / scales[after][:, None]
         change = M.T @ P[after] @ M - P[age]
-        constraints.append((change + change.T) / 2 << -margin * np.eye(size))
-    if not solve(cp.Problem(cp.Maximize(margin), constraints)) or margin.value <= 0.0:
+        constraints.append((change + change.T) / 2 << -margin * np.eye(len(scales[age])))
+    problem = cp.Problem(cp.Maximize(margin), constraints)
+    # Ten times Clarabel's default, with which it gives up on some problems of three ages at once.
+    if not solve(problem, static_regularization_constant=1e-7) or margin.value <= 0.0:
         return None
-    return {age: matrix.value / np.outer(scale, scale) for age, matrix in P.items()}
+    return {age: P[age].value / np.outer(scale, scale) for age, scale in scales.items()}
 
 
-def age_function_margin(
-    lqg: Lqg, plants: Iterable[Plant], functions: Mapping[int, FloatArray]
-) -> float:
-    """Return by how much, relative to the functions, they fall at least: above 0 they hold.
-
-    It is the least eigenvalue of P_d and of P_d - M^T P_d' M over all steps and plants, in the
-    coordinates of the search.
-    """
-    longest = max(functions)
-    scale = _scale(lqg, longest)
-    inner = {age: matrix * np.outer(scale, scale) for age, matrix in functions.items()}
-    least = min(float(np.linalg.eigvalsh(matrix)[0]) for matrix in inner.values())
-    for (age, after), plant in product(age_steps(longest), plants):
-        M = age_mode(lqg, plant, age, after, longest) * scale / scale[:, None]
-        fall = inner[age] - M.T @ inner[after] @ M
-        least = min(least, float(np.linalg.eigvalsh((fall + fall.T) / 2.0)[0]))
-    return least
+def _parity(lqg: Lqg, age: int, mirror: tuple[npt.ArrayLike, npt.ArrayLike] | None) -> FloatArray:
+    """Return the sign of each part of xi under the mirror; all are +1 without one."""
+    size, m = lqg.model.B.shape
+    states, inputs = (np.ones(size), np.ones(m)) if mirror is None else map(np.asarray, mirror)
+    if states.shape != (size,) or inputs.shape != (m,):
+        raise ValueError(f"mirror has {states.shape} and {inputs.shape}; it must be {size} and {m}")
+    A, B = lqg.model.A * np.outer(states, states), lqg.model.B * np.outer(states, inputs)
+    K = lqg.regulator * np.outer(inputs, states)
+    L = lqg.filter_gain * np.outer(states, states[: lqg.model.num_measured])
+    model = (lqg.model.A, A), (lqg.model.B, B), (lqg.regulator, K), (lqg.filter_gain, L)
+    if any(np.abs(own - image).max() > 1e-6 * np.abs(own).max() for own, image in model):
+        raise ValueError("mirror changes the filter: signs must leave A, B, K and L as they are")
+    return age_parts(states[: lqg.model.num_measured], states, inputs, age)
 
 
-def _scale(lqg: Lqg, longest: int) -> FloatArray:
-    """Return how large the parts of xi are in the model's loop."""
-    moment = lqg.second_moment(longest)
-    state = np.sqrt(np.diag(moment))
-    inputs = np.sqrt(np.diag(lqg.regulator @ moment @ lqg.regulator.T))
-    n = lqg.model.num_measured
-    return np.concatenate([np.tile(state[:n], longest + 1), state, np.tile(inputs, longest)])
+def _symmetric(parity: FloatArray) -> Any:
+    """Return a symmetric matrix of unknowns without entries between parts of other parity."""
+    import cvxpy as cp
+
+    found = 0
+    for sign in np.unique(parity):
+        own = np.eye(len(parity))[:, parity == sign]
+        inner = cp.Variable((own.shape[1], own.shape[1]), symmetric=True)
+        found = found + own @ inner @ own.T
+    return found

@@ -23,7 +23,7 @@ STRICT = 1e-6
 """Smallest eigenvalue that stands for a strict inequality, where the unknowns are of order 1."""
 
 
-def solve(problem: cp.Problem) -> bool:
+def solve(problem: cp.Problem, **settings: float) -> bool:
     """Solve with Clarabel and return whether the variables have values to look at.
 
     Inaccurate solutions count: whatever comes out passes the independent certificate before it
@@ -32,7 +32,7 @@ def solve(problem: cp.Problem) -> bool:
     try:
         with warnings.catch_warnings():
             warnings.filterwarnings("ignore", message="Solution may be inaccurate")
-            problem.solve(solver=cp.CLARABEL)
+            problem.solve(solver=cp.CLARABEL, **settings)
     except cp.SolverError as error:
         logger.debug("Clarabel gave up: %s", error)
         return False

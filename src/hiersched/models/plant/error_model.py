@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import expm
 
+from hiersched.control.age_certificate import PlantFamily
 from hiersched.control.checks import as_matrix, as_positive, as_square
 
 FloatArray = npt.NDArray[np.float64]
@@ -40,6 +41,23 @@ def unicycle_error_model(
     B_c = np.zeros((5, 2))
     B_c[3, 0] = B_c[4, 1] = 1.0 / actuator_lag_s
     return A_c, B_c
+
+
+def unicycle_family(speed_mps: float, sampling_s: float) -> PlantFamily:
+    """Return `unicycle_error_model` as it depends on its turn rate [rad/s] and on 1 / lag [1/s].
+
+    It is affine in these two, the family's parameters. Errors as there.
+    """
+
+    def at(turn_rate_radps: float, lag_s: float) -> tuple[FloatArray, FloatArray]:
+        return unicycle_error_model(speed_mps, turn_rate_radps, lag_s)
+
+    base, turning, faster = at(0.0, 1.0), at(1.0, 1.0), at(0.0, 0.5)
+    A_c, B_c = (
+        [2.0 * one - two, turn - one, two - one]
+        for one, turn, two in zip(base, turning, faster, strict=True)
+    )
+    return PlantFamily(A_c=A_c, B_c=B_c, sampling_s=sampling_s)
 
 
 def discretise(
