@@ -30,7 +30,7 @@ from hiersched.study import study as study_module
 from hiersched.study.built_in import shown
 from hiersched.study.fifo import backlog_path, deadline_in_slots, late_packets
 from hiersched.study.growth import write_growth
-from hiersched.study.measure import growth_groups, measure, measured_groups
+from hiersched.study.measure import measure, measured_groups
 from hiersched.study.metrics import measured_row
 from hiersched.study.registry import CLAIMS, FIGURES, TABLES, Shown
 from hiersched.study.show import show
@@ -136,8 +136,7 @@ def measured(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[
             (folder / path.name).symlink_to(path)
         for group in measured_groups(scenario):
             measure(scenario, folder, group)
-        for group in growth_groups(scenario):
-            write_growth(scenario, folder, group)
+        write_growth(scenario, folder)
         return folder
 
     return folder_of

@@ -239,14 +239,13 @@ def measure_values(scenario: Scenario, group: str) -> dict[str, Any]:
     return values
 
 
-def growth_values(scenario: Scenario, group: str) -> dict[str, Any]:
-    """Pick what the growth of the loops of a group depends on, besides chains and gains."""
-    values = {
-        experiment.name: run_values(scenario, experiment, group)
+def growth_values(scenario: Scenario) -> dict[str, Any]:
+    """Pick what the growth of loops depends on, besides chains and gains."""
+    return {
+        f"{experiment.name} {group}": run_values(scenario, experiment, group)
         for experiment in experiments(scenario).values()
-        if group in groups(scenario, experiment)
+        for group in groups(scenario, experiment)
     }
-    return _with_plant_code(scenario, values)
 
 
 def bound_values(scenario: Scenario) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from hiersched.control import GainSchedule, load_or_build
-from hiersched.experiments.points import Experiment, experiments, groups, value_text
+from hiersched.experiments.points import Experiment, experiments, value_text
 from hiersched.scenario import Scenario
 from hiersched.simulator.gain_source import design_arguments, design_values, read_gains
 from hiersched.simulator.loop_gains import Gains, loop_gains
@@ -57,12 +57,6 @@ def design_of(scenario: Scenario, variant: Scenario) -> str:
 def experiment_designs(scenario: Scenario, experiment: Experiment) -> list[str]:
     """List the schedules that the points of an experiment need, each once."""
     return list(dict.fromkeys(design_of(scenario, p.scenario) for p in experiment.points))
-
-
-def group_designs(scenario: Scenario, group: str) -> list[str]:
-    """List the schedules that a group of policies needs in all experiments, each once."""
-    own = (e for e in experiments(scenario).values() if group in groups(scenario, e))
-    return list(dict.fromkeys(name for e in own for name in experiment_designs(scenario, e)))
 
 
 def design_gains(scenario: Scenario, design: str, path: Path) -> GainSchedule:

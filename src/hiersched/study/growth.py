@@ -19,15 +19,13 @@ from hiersched.control.second_moments import transition_counts
 from hiersched.core.files import write_parquet
 from hiersched.experiments import files
 from hiersched.experiments.gains import design_of
-from hiersched.experiments.points import GAIN_GROUP, Experiment, Point, experiments, groups
+from hiersched.experiments.points import Experiment, Point, experiments
 from hiersched.experiments.run import gain_variant
 from hiersched.scenario import Scenario
 from hiersched.simulator.gain_source import read_gains
 from hiersched.simulator.loop_growth import growth_in_force, worst_growth, worst_unheld
-from hiersched.study.measure import table_file
+from hiersched.study.measure import chain_files
 
-GROWTH = "growth"
-"""Name of the table."""
 LOCAL, UNKNOWN, SHRINKS, GROWS = "local", "not known", "shrinks", "grows"
 """What a loop may be called."""
 
@@ -37,26 +35,24 @@ def has_network_loop(scenario: Scenario) -> bool:
     return scenario.loop_kind == "network"
 
 
-def growth_file(group: str) -> str:
-    """Return the table of a group, relative to the folder of the study."""
-    return table_file(GROWTH, group)
-
-
-def write_growth(scenario: Scenario, results: Path, group: str) -> None:
-    """Follow the loops of a group of policies over their chains, and write its table."""
-    chains = pd.read_parquet(results / table_file("chains", group))
-    keys = ["experiment", "value", "gain" if group == GAIN_GROUP else "policy"]
-    of_run = {key: own for key, own in chains.groupby(keys)} if len(chains) else {}
+def write_growth(scenario: Scenario, results: Path) -> None:
+    """Follow the loops of every point over its chains, and write the table."""
+    of_run: dict[Any, pd.DataFrame] = {}
+    for name in chain_files(scenario):
+        chains = pd.read_parquet(results / name)
+        if len(chains):
+            by = ["experiment", "value", "gain" if "gain" in chains else "policy"]
+            of_run |= dict(iter(chains.groupby(by)))
     rows = []
     for experiment in experiments(scenario).values():
-        for point, policy in experiment.runs(groups(scenario, experiment).get(group, ())):
+        for point, policy in experiment.runs(experiment.policies):
             own = of_run.get((experiment.name, point.value, policy))
             labels = {"experiment": experiment.name, "value": point.value, "policy": policy}
             rows += [
                 {**labels, **row, "loop": loop_word(row["loop_growth"], point.scenario)}
                 for row in _growths(scenario, results, experiment, point, policy, own)
             ]
-    write_parquet(results / growth_file(group), pd.DataFrame(rows))
+    write_parquet(results / files.GROWTH, pd.DataFrame(rows))
 
 
 def loop_word(growth: float, scenario: Scenario) -> str:

@@ -117,14 +117,15 @@ def measured_groups(scenario: Scenario) -> dict[str, tuple[str, ...]]:
     return found
 
 
-def growth_groups(scenario: Scenario) -> list[str]:
-    """List the groups whose loops are followed: of policies that run, and not only train."""
-    return [group for group, tables in measured_groups(scenario).items() if "chains" in tables]
-
-
 def table_file(table: str, group: str) -> str:
     """Table of measures of a group, relative to the folder of the study."""
     return f"measures/{table}/{group}.parquet"
+
+
+def chain_files(scenario: Scenario) -> list[str]:
+    """List the tables ``chains``: of groups of policies that run, and not only train."""
+    tables = measured_groups(scenario).items()
+    return [table_file("chains", group) for group, names in tables if "chains" in names]
 
 
 def measured_files(scenario: Scenario, group: str) -> list[str]:

@@ -20,7 +20,6 @@ from hiersched.simulator.gain_source import read_gains
 from hiersched.study.measure import (
     RUN_TABLES,
     TASK_TABLES,
-    growth_groups,
     measured_groups,
     table_file,
 )
@@ -43,7 +42,7 @@ class Study:
         of the task); ValueError for any other.
         """
         own = {
-            "growth": [table_file("growth", group) for group in growth_groups(scenario)],
+            "growth": [files.GROWTH],
             "bound": [files.BOUND],
             "stability": [files.STABILITY],
             "tunings": [files.tuning_file(cell) for cell in scenario.task_study.cells],

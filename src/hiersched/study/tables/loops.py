@@ -153,11 +153,11 @@ def filter_table(study: Study) -> pd.DataFrame:
     title="Growth of the loops' second moments over the delays that the network gave",
     note="Factor a sample, of the user of each policy for whom the loop in force grows most "
     "without a hold, over the Markov chain of delays measured behind the warm-up, worlds together: "
-    "below 1 the linear loop's second moment shrinks. `in_force`: the scenario's own method as it runs; "
-    "`followed`: its gains, each delay's at once; `nominal`: the nominal gain; `filter`: the "
-    "method lqg, whatever the delays. `beyond_share`: samples beyond the longest delay with a gain, "
-    "where that gain acts on an older measurement still. A dash: delays too long to tell. `loop`: what "
-    "the one in force does.",
+    "below 1 the linear loop's second moment shrinks. `in_force`: the scenario's own method as it "
+    "runs; `followed`: its gains, each delay's at once; `nominal`: the nominal gain; `filter`: the "
+    "method lqg, whatever the delays. `beyond_share`: samples beyond the longest delay with a "
+    "gain, where that gain acts on an older measurement still. A dash: delays too long to tell. "
+    "`loop`: what the one in force does.",
     reads=("chains", "growth", "schedules"),
     when=has_network_loop,
 )

@@ -184,10 +184,8 @@ def comparison_table(study: Study) -> pd.DataFrame:
         if policy == baseline:
             continue
         own, other = (runs[runs["policy"] == name] for name in (policy, baseline))
-        loops = {
-            "loop": study.loop_of(own)["loop"],
-            "baseline_loop": study.loop_of(other)["loop"],
-        }
+        of_both = {"loop": policy, "baseline_loop": baseline}
+        loops = {n: study.loop_columns("evaluate", "", of)["loop"] for n, of in of_both.items()}
         for name in COMPARED:
             a, b = paired(own, other, name)
             least = resolution(name, pd.concat([own, other]), scenario)

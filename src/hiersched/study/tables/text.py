@@ -32,8 +32,8 @@ NONE_NOTE = (
 LOOP_NOTE = (
     "`loop`: whether the second moment of the linear loop shrinks or grows over the delays that "
     "the logs have, worlds together, of the user for whom it grows most, without a hold of its "
-    "gains; `loop_growth`: its factor a sample. `not known`: delays too long to tell, or a filter whose "
-    "beliefs are wrong; `local`: nothing of the loop crosses the network."
+    "gains; `loop_growth`: its factor a sample. `not known`: delays too long to tell, or a filter "
+    "whose beliefs are wrong; `local`: nothing of the loop crosses the network."
 )
 FORCED_LOOP_NOTE = (
     "`…loop`: whether the second moment of the linear loop, as it runs, shrinks or grows over the "

@@ -9,12 +9,12 @@ from hiersched.core.faults import printable
 from hiersched.experiments import dependencies, files
 from hiersched.experiments.feasible import load_study
 from hiersched.experiments.fingerprint import PACKAGE_FOLDER, code_fingerprint, kernels_name
-from hiersched.experiments.gains import designs, experiment_designs, group_designs
+from hiersched.experiments.gains import designs, experiment_designs
 from hiersched.experiments.points import TASK, cell_of, experiments, groups, trained_learners
 from hiersched.experiments.turns import begin_run
 from hiersched.scenario import ScenarioError, parameter_notes
 from hiersched.study.built_in import shown
-from hiersched.study.measure import growth_groups, measured_files, measured_groups, table_file
+from hiersched.study.measure import chain_files, measured_files, measured_groups, table_file
 from hiersched.study.registry import CLAIMS, FIGURES, TABLES
 from hiersched.study.study import Study
 
