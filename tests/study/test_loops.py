@@ -31,6 +31,7 @@ from hiersched.study.figures.style import house_style
 from hiersched.study.growth import loop_word
 from hiersched.study.measure import _chains, measure, measured_groups, table_file
 from hiersched.study.study import Study
+from hiersched.study.tables.gains import gain_table
 from hiersched.study.tables.loops import filter_table, has_filtered_cells
 from hiersched.study.tables.policies import sweep_table
 
@@ -169,12 +170,20 @@ def test_every_table_with_errors_marks_the_loops_that_grow(
     growth = pd.read_parquet(results / files.GROWTH)
     at = (growth["value"] == "arc") & (growth["policy"] == "pf")
     growth.loc[at, ["loop_growth", "loop"]] = 1.25, "grows"
+    at = (growth["experiment"] == "gain_study") & (growth["value"] == "krasovskii")
+    at &= (growth["policy"] == "nominal") & (growth["span"] == "violated")
+    growth.loc[at, ["loop_growth", "loop"]] = 1.5, "grows"
     (results / files.GROWTH).unlink()
     write_parquet(results / files.GROWTH, growth)
-    marked = sweep_table(Study(tiny, results))
+    study = Study(tiny, results)
+    marked = sweep_table(study)
     marked = marked[marked["loop"] == "grows"]
     assert marked[["axis", "value", "policy"]].to_numpy().tolist() == [["reference", "arc", "pf"]]
     assert marked["loop_growth"].tolist() == [1.25]
+    gains = gain_table(study)  # the predictor's nominal loop is that of the first on its plant
+    expected = gains["violated"] & gains["method"].isin(["krasovskii", "predictor"])
+    assert ((gains["nominal_loop"] == "grows") == expected).all()
+    assert (gains["adjusted_loop"] == "shrinks").all()
 
 
 def test_forced_delays_have_the_growth_of_their_span(study: Study) -> None:
