@@ -96,15 +96,15 @@ def test_a_right_predictor_has_the_growth_of_its_regulator(make_network_plant):
 
 
 def test_a_split_plant_by_hand_and_lifted():
-    """x(k+1) = (0.9 - 0.5 K) x(k) + 0.3 x(k-d): a local gain and a part that is delayed."""
+    """x(k+1) = (0.9 - 0.5 K) x(k) + 0.1 x(k-d): a local gain and a part that is delayed."""
     gains = np.full((3, 1, 1), 0.4)
     stays = Chain(np.array([2]), np.array([2]), np.eye(1))
-    growth = second_moment_growth([[0.9]], [[0.5]], gains, stays, A_d=[[0.3]])
-    lifted = np.array([[0.7, 0.0, 0.3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    growth = second_moment_growth([[0.9]], [[0.5]], gains, stays, A_d=[[0.1]])
+    lifted = np.array([[0.7, 0.0, 0.1], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     assert growth == pytest.approx(np.abs(np.linalg.eigvals(lifted)).max() ** 2, rel=1e-9)
     now = Chain(np.array([0]), np.array([0]), np.eye(1))
-    growth = second_moment_growth([[0.9]], [[0.5]], gains, now, A_d=[[0.3]])
-    assert growth == pytest.approx((0.7 + 0.3) ** 2)
+    growth = second_moment_growth([[0.9]], [[0.5]], gains, now, A_d=[[0.1]])
+    assert growth == pytest.approx((0.7 + 0.1) ** 2)
 
 
 def test_a_delay_couples_parts_that_nothing_else_does():
