@@ -427,6 +427,7 @@ WHERE = {
     "growth over delays that were measured": (
         "hiersched.control:second_moment_growth",
         "hiersched.simulator.loop_growth:loop_growth",
+        "hiersched.study.growth:write_growth",
     ),
     "gains by C1 and C3": (
         "hiersched.control:RazumikhinSynthesis",

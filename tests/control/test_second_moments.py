@@ -95,6 +95,27 @@ def test_a_right_predictor_has_the_growth_of_its_regulator(make_network_plant):
     assert growth == pytest.approx(radius**2, rel=1e-6)
 
 
+def test_a_split_plant_by_hand_and_lifted():
+    """x(k+1) = (0.9 - 0.5 K) x(k) + 0.1 x(k-d): a local gain and a part that is delayed."""
+    gains = np.full((3, 1, 1), 0.4)
+    stays = Chain(np.array([2]), np.array([2]), np.eye(1))
+    growth = second_moment_growth([[0.9]], [[0.5]], gains, stays, A_d=[[0.1]])
+    lifted = np.array([[0.7, 0.0, 0.1], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    assert growth == pytest.approx(np.abs(np.linalg.eigvals(lifted)).max() ** 2, rel=1e-9)
+    now = Chain(np.array([0]), np.array([0]), np.eye(1))
+    growth = second_moment_growth([[0.9]], [[0.5]], gains, now, A_d=[[0.1]])
+    assert growth == pytest.approx((0.7 + 0.1) ** 2)
+
+
+def test_a_delay_couples_parts_that_nothing_else_does():
+    """Two states that act on each other through A_d alone are one part."""
+    A, A_d = np.diag([0.9, 0.9]), np.array([[0.0, 0.3], [0.3, 0.0]])
+    gains, stays = np.zeros((2, 1, 2)), Chain(np.array([1]), np.array([1]), np.eye(1))
+    growth = second_moment_growth(A, [[1.0], [0.0]], gains, stays, A_d=A_d)
+    lifted = np.block([[A, A_d], [np.eye(2), np.zeros((2, 2))]])
+    assert growth == pytest.approx(np.abs(np.linalg.eigvals(lifted)).max() ** 2, rel=1e-9)
+
+
 def test_transitions_are_counted_and_checked():
     counts = count_transitions([[1], [2], [3], [2]])
     assert counts[1, 2] == counts[2, 3] == counts[3, 2] == 1.0

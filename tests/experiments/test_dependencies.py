@@ -20,6 +20,8 @@ from hiersched.experiments.points import experiments, groups
 from hiersched.models.model import SECTIONS
 from hiersched.scenario import Scenario, with_values
 from hiersched.scenario.schema import model_at
+from hiersched.study.growth import write_growth
+from hiersched.study.measure import measure
 from hiersched.study.registry import FIGURES
 
 Run = Callable[..., None]
@@ -180,6 +182,27 @@ BELIEFS = {
     for name in ("lag_s", "slip_speed_mps", "slip_turn_rate_radps", "slip_time_s")
 }
 """What a design reads in place of the robot's own keys, under whose names it is declared."""
+
+
+def test_growth_reads_what_it_declares(
+    tiny: Scenario, results: Path, run: Run, reads: set[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    few = replace(
+        tiny,
+        evaluate=replace(tiny.evaluate, policies=("pf",), duration_s=0.05),
+        sweeps=replace(tiny.sweeps, axes={}),
+        generalise=replace(tiny.generalise, cells=()),
+        gain_study=replace(tiny.gain_study, methods=()),
+    )
+    run(few, "evaluate")
+    measure(few, results, "classical")
+    reads.clear()
+    write_growth(few, results)
+    values = dependencies.growth_values(few)["evaluate classical"]
+    assert {"control.gain", "control.hold_samples", "robot.speed_mps"} <= reads
+    # Which learners are trained decides on the files of chains, which are its inputs.
+    left = {"learning.algorithm", "learning.frozen"}
+    assert undeclared(set(reads), values) == left
 
 
 def test_stability_reads_what_it_declares(

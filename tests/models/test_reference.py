@@ -1,12 +1,23 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from hiersched.models.plant.reference import driven_table, reference_table
+from hiersched.core.randomness import world_keys
+from hiersched.models.model import Setup
+from hiersched.models.plant.operator import draw_references, operator_words
+from hiersched.models.plant.reference import (
+    Task,
+    driven_table,
+    greatest_turn_rate,
+    reference_table,
+    task_table,
+    tasks_of,
+)
 
 STEP_S = 0.0025
 SHAPE = SimpleNamespace(
@@ -132,3 +143,35 @@ def test_a_path_starts_over_from_where_it_ends():
 def test_unknown_reference_is_named():
     with pytest.raises(ValueError, match=r"reference = 'spiral': must be one of straight, arc"):
         table("spiral", 1.0)
+
+
+@pytest.mark.parametrize("pace", [1.0, 2.5])
+@pytest.mark.parametrize("name", ["straight", "arc", "figure_eight", "zigzag", "file"])
+def test_the_greatest_turn_rate_is_that_of_the_table(name, pace, smoke_scenario):
+    points = (
+        (0.0, 0.0, 0.0, 0.0),
+        (1.0, 1.0, 0.1, 0.2),
+        (1.5, 1.4, 0.3, 0.7),
+        (3.0, 2.0, 0.9, 0.8),
+    )
+    robot = replace(smoke_scenario.robot, reference_points=points, reference_repeat=True)
+    task = Task(reference=name, scale=0.5, pace=pace)
+    made, _ = task_table(robot, task, 4000, 1)
+    rate, keys = greatest_turn_rate(robot, task)
+    assert rate == pytest.approx(np.abs(made.turn_rate_radps).max(), rel=1e-3)
+    assert name == "straight" or set(keys) > {"reference_pace"}
+
+
+def test_the_bound_of_reaches_holds_in_every_world(smoke_scenario):
+    """Close to it where a turn is nearly the greatest and the duration nearly the least."""
+    robot = replace(
+        smoke_scenario.robot,
+        **{"reference": "reach", "reach_duration_s": (0.05, 0.06), "reach_pause_s": (0.0, 0.0)},
+        reference_pace=1.7,
+    )
+    scenario = replace(smoke_scenario, robot=robot)
+    words = operator_words(Setup(scenario=scenario, num_envs=4, num_slots=800))
+    draw_references(words, world_keys("check", 1, 4))
+    rate, _ = greatest_turn_rate(robot, tasks_of(robot, scenario.users.num_urllc)[0])
+    drawn = np.abs(words.path[:, 0]).max()
+    assert 0.9 * rate < drawn <= rate * (1.0 + 1e-12)

@@ -152,6 +152,27 @@ from hiersched.scenario import ScenarioError, find_scenario, load_scenario
             ["control.packet_samples = 200000", "less than or equal to 200"],
         ),
         ("control: {known_motion: true}", ["known_motion = true: needs control.method = 'lqg'"]),
+        *(
+            (f"control: {{method: lqg, known_motion: true}}\nrobot: {robot}", said)
+            for robot, said in (
+                (
+                    "{reference: arc, arc_radius_m: 0.03}",
+                    ["robot.arc_radius_m = 0.03", "'arc' turns at up to 33.3333 rad/s", "25.6"],
+                ),
+                (
+                    "{reference: figure_eight, eight_half_width_m: 0.1}",
+                    ["robot.eight_half_width_m = 0.1", "up to 30 rad/s"],
+                ),
+                (
+                    "{reference: zigzag, reference_pace: 9.0}",
+                    ["robot.reference_pace = 9.0", "'zigzag' turns at up to 37"],
+                ),
+                (
+                    "{reference: reach, reach_duration_s: [0.05, 0.2]}",
+                    ["robot.reach_duration_s = (0.05, 0.2)", "'reach' turns at up to"],
+                ),
+            )
+        ),
         (
             "gain_study: {cells: {far: {delays: 0.1}}}",
             ["gain_study.cells.far.delays", "did you mean delay_s"],

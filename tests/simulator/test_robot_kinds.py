@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hiersched.control import GainSchedule
+from hiersched.control import GainSchedule, count_transitions, spectral_radius_by_delay
 from hiersched.core.randomness import world_keys
 from hiersched.scenario import (
     ScenarioError,
@@ -22,7 +22,8 @@ from hiersched.scenario import (
 from hiersched.scenario.schema import RobotKind
 from hiersched.simulator import Simulator
 from hiersched.simulator.gain_source import check_gains, design_schedule, scenario_key
-from hiersched.simulator.loop_gains import loop_gains, nominal_gains
+from hiersched.simulator.loop_gains import loop_gains, nominal_gains, plant_of
+from hiersched.simulator.loop_growth import greatest_growth, growth_in_force, worst_unheld
 
 from .conftest import vary
 
@@ -145,6 +146,23 @@ def test_kinds_that_cannot_be(smoke_scenario, kinds, words):
         with_kinds(smoke_scenario, **kinds)
     for word in words:
         assert word in str(caught.value)
+
+
+def test_growth_is_that_of_the_robots_own_kind(smoke_scenario):
+    control = {"method": "latency_compensated", "hold_samples": 0, "gain": "nominal"}
+    scenario = with_kinds(
+        vary(smoke_scenario, {"control": control}), fast=((2,), {"robot.actuator_lag_s": 0.03})
+    )
+    schedule = design_schedule(scenario)
+    counts = count_transitions(np.full((50, 1), 5))
+    robot, worst = worst_unheld(scenario, schedule, [counts] * 4)
+    kind = kinds_of_robots(scenario)[1]
+    plant = plant_of(kind)
+    wanted = spectral_radius_by_delay(*plant.closed_loop(plant.nominal_gain), 5)[5] ** 2
+    assert robot == 2
+    assert worst == pytest.approx(wanted, rel=1e-9)
+    assert worst > 1.01 * growth_in_force(kinds_of_robots(scenario)[0], schedule, counts)
+    assert greatest_growth(scenario, schedule, counts) == pytest.approx(wanted, rel=1e-9)
 
 
 def test_a_model_that_knows_no_kinds_refuses_them(smoke_scenario):

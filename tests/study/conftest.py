@@ -25,9 +25,11 @@ from hiersched.log import TOPICS, LogDims, LogWriter
 from hiersched.scenario import Scenario, load_scenario
 from hiersched.scenario.schema import checkpoint_rounds
 from hiersched.simulator.loop_gains import plant_of
+from hiersched.study import growth as growth_module
 from hiersched.study import study as study_module
 from hiersched.study.built_in import shown
 from hiersched.study.fifo import backlog_path, deadline_in_slots, late_packets
+from hiersched.study.growth import write_growth
 from hiersched.study.measure import measure, measured_groups
 from hiersched.study.metrics import measured_row
 from hiersched.study.registry import CLAIMS, FIGURES, TABLES, Shown
@@ -78,7 +80,8 @@ def _unverified_gains() -> Iterator[None]:
         return GainSchedule.from_json(path.read_text(encoding="utf-8"))
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(study_module, "read_gains", read)
+        for module in (study_module, growth_module):
+            patch.setattr(module, "read_gains", read)
         yield
 
 
@@ -133,6 +136,7 @@ def measured(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[
             (folder / path.name).symlink_to(path)
         for group in measured_groups(scenario):
             measure(scenario, folder, group)
+        write_growth(scenario, folder)
         return folder
 
     return folder_of

@@ -333,11 +333,15 @@ def test_gain_caption_explains_the_bars_that_are_missing(
     text = small_print(figures["figX_gain"])
     assert "No bar (Razumikhin): both gains give the same errors." in text
     windows = study.measures("windows")
-    same = planted(study.scenario, measures=lambda _: windows.assign(error_cm=2.0))
+
+    def of(error_cm: object) -> Study:
+        tables = {"windows": windows.assign(error_cm=error_cm), "growth": study.measures("growth")}
+        return planted(study.scenario, measures=tables.__getitem__)
+
+    same = of(2.0)
     with house_style():
         assert "No bar (Krasovskii, Razumikhin, predictor)" in small_print(draw_gain(same))
-    half = windows.assign(error_cm=np.where(windows["gain"] == "adjusted", 1.0, 2.0))
-    other = planted(study.scenario, measures=lambda _: half)
+    other = of(np.where(windows["gain"] == "adjusted", 1.0, 2.0))
     with house_style():
         assert "No bar" not in small_print(draw_gain(other))
 

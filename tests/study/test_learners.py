@@ -23,7 +23,7 @@ def runs_of(policy: str, values: list[float], axis: str = "load") -> pd.DataFram
     columns = dict.fromkeys(CELL_MEASURES, values) | dict.fromkeys(SHARES, np.divide(values, 100.0))
     sizes = {"num_slots": 100, "urllc_due_packets": 4000, "embb_due_packets": 4000}
     frame = pd.DataFrame({"seed": [21, 22, 23], **columns, **sizes})
-    return frame.assign(stage="sweep", axis=axis, value=0.85, policy=policy)
+    return frame.assign(stage="sweep", experiment=axis, axis=axis, value=0.85, policy=policy)
 
 
 def test_learners_are_compared_world_by_world(

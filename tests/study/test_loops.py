@@ -5,28 +5,35 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 
 from hiersched.core.files import write_parquet
+from hiersched.experiments import files
 from hiersched.experiments.gains import design_gains, designs
-from hiersched.experiments.logged import RunSlots
 from hiersched.experiments.points import LOOP_CELLS, experiments
 from hiersched.scenario import Scenario
+from hiersched.simulator import loop_growth as loop_growth_module
+from hiersched.simulator.loop_gains import plant_of
 from hiersched.simulator.loop_growth import (
     loop_growth,
     sampled_delays,
     separates,
     transitions,
     worst_growth,
+    worst_unheld,
 )
 from hiersched.study.figures.loops import draw_gain_cells
 from hiersched.study.figures.style import house_style
+from hiersched.study.growth import loop_word
 from hiersched.study.measure import _chains, measure, measured_groups, table_file
 from hiersched.study.study import Study
+from hiersched.study.tables.gains import gain_table
 from hiersched.study.tables.loops import filter_table, has_filtered_cells
+from hiersched.study.tables.policies import sweep_table
 
 from .conftest import _schedule, _write_robots
 
@@ -80,8 +87,11 @@ def test_moments_are_those_of_the_filter_and_of_the_logs(
     measure(scenario, tmp_path, "gains")
     for group in measured_groups(scenario).keys() - {"gains"}:
         write_parquet(tmp_path / table_file("windows", group), pd.DataFrame())
+    place = {"experiment": LOOP_CELLS, "value": "near_lqg", "policy": "adjusted"}
+    planted = {**place, "span": "violated", "loop_growth": 0.5, "loop": "shrinks"}
+    write_parquet(tmp_path / files.GROWTH, pd.DataFrame([planted]))
     (row,) = filter_table(Study(scenario, tmp_path)).to_dict("records")
-    assert row["age_samples"] == 3
+    assert (row["age_samples"], row["loop_growth"], row["loop"]) == (3, 0.5, "shrinks")
     assert row["linear_over_expected"] == pytest.approx(1.0, abs=0.02)
     assert 0.5 < row["expected_cm"] < 1.2
     assert row["estimate_std_cm"] < row["expected_cm"]
@@ -91,20 +101,29 @@ def test_moments_are_those_of_the_filter_and_of_the_logs(
 
 
 def test_chains_count_samples_and_not_slots(tiny: Scenario) -> None:
-    """Samples every second slot behind the warm-up."""
-    steps = np.array([[9, 9], [9, 9], [9, 9], [9, 9], [1, 17], [8, 8], [2, 12], [8, 8], [1, 3]])
-    run = RunSlots(
-        source="planted",
-        metadata={},
-        num_urllc=2,
-        slot_s=0.01,
-        warmup_slots=4,
-        fields={"delay_steps": steps.astype(np.uint32)},
-    )
-    table = _chains(run, tiny).set_index(["robot", "delay_steps", "next_steps"])
-    assert table["count"].to_dict() == {(0, 1, 2): 1, (1, 17, 12): 1}
+    """Samples every second slot."""
+    steps = np.array([[1, 17], [8, 8], [2, 12], [8, 8], [1, 3], [8, 8]], np.uint32)
+    table = _chains(steps, tiny).set_index(["robot", "delay_steps", "next_steps", "span"])
+    assert table["count"].to_dict() == {
+        (0, 1, 2, ""): 1,
+        (0, 2, 1, ""): 1,
+        (1, 12, 3, ""): 1,
+        (1, 17, 12, ""): 1,
+    }
     longer = sampled_delays(np.arange(10)[:, None], tiny, 0.01)
     assert longer[:, 0].tolist() == [0, 2, 4, 6, 8]
+
+
+def test_chains_of_violated_and_calm_windows_do_not_mix(tiny: Scenario) -> None:
+    """The step from one into the other is in neither."""
+    steps = np.repeat([1, 2, 5, 6, 5, 1], 2)[:, None]
+    is_violated = np.repeat([False, False, True, True, True, False], 2)
+    table = _chains(steps, tiny, is_violated).set_index(["span", "delay_steps", "next_steps"])
+    assert table["count"].to_dict() == {
+        ("violated", 5, 6): 1,
+        ("violated", 6, 5): 1,
+        ("calm", 1, 2): 1,
+    }
 
 
 def test_growth_is_that_of_the_measured_chain(
@@ -120,8 +139,82 @@ def test_growth_is_that_of_the_measured_chain(
         counts[row["delay_steps"], row["next_steps"]] += row["count"]
     growth = loop_growth(study.scenario, study.schedule(study.scenario), counts)
     assert table.loc["pf", list(growth._fields)].tolist() == pytest.approx(growth, nan_ok=True)
-    policies = tables["policies"].set_index("policy")["loop_growth"]
-    assert policies["pf"] == pytest.approx(table.loc["pf", "followed"], nan_ok=True)
+    policies = tables["policies"].set_index("policy")
+    assert policies.loc["pf", "loop_growth"] == pytest.approx(table.loc["pf", "followed"])
+    assert set(policies["loop"]) == set(table["loop"]) == {"shrinks"}
+
+
+FORCED = ("gain_methods", "gain_grid", "gain_sweeps", "table2_gain", "table2_methods")
+"""Tables that compare the nominal and the adjusted gain under forced delays."""
+
+
+def test_every_table_with_errors_marks_the_loops_that_grow(
+    tables: dict[str, pd.DataFrame], measured: Callable[[Scenario], Path], tiny: Scenario
+) -> None:
+    """Whatever has a tracking error has the mark; it is that of the point and policy of the row."""
+    words = {"shrinks", "grows", "not known", "local"}
+    errors = ("error_cm", "nominal_cm", "tracking_error_cm", "robots_cm")
+    for name, table in tables.items():
+        if not set(errors) & set(table):
+            continue
+        columns = ["nominal_loop", "adjusted_loop"] if name in FORCED else ["loop"]
+        for column in columns:
+            assert set(table[column]) <= words, name
+            grows = table[f"{column}_growth"] >= 1.0
+            assert (grows == (table[column] == "grows")).all(), name
+    robots = tables["comparison"]["measure"].isin(["tracking_error_cm", "off_track_share"])
+    for column in ("loop", "baseline_loop"):
+        assert tables["comparison"].loc[robots, column].isin(words).all()
+        assert tables["comparison"].loc[~robots, column].isna().all()
+    results = measured(tiny)
+    growth = pd.read_parquet(results / files.GROWTH)
+    at = (growth["value"] == "arc") & (growth["policy"] == "pf")
+    growth.loc[at, ["loop_growth", "loop"]] = 1.25, "grows"
+    at = (growth["experiment"] == "gain_study") & (growth["value"] == "krasovskii")
+    at &= (growth["policy"] == "nominal") & (growth["span"] == "violated")
+    growth.loc[at, ["loop_growth", "loop"]] = 1.5, "grows"
+    (results / files.GROWTH).unlink()
+    write_parquet(results / files.GROWTH, growth)
+    study = Study(tiny, results)
+    marked = sweep_table(study)
+    marked = marked[marked["loop"] == "grows"]
+    assert marked[["axis", "value", "policy"]].to_numpy().tolist() == [["reference", "arc", "pf"]]
+    assert marked["loop_growth"].tolist() == [1.25]
+    gains = gain_table(study)  # the predictor's nominal loop is that of the first on its plant
+    expected = gains["violated"] & gains["method"].isin(["krasovskii", "predictor"])
+    assert ((gains["nominal_loop"] == "grows") == expected).all()
+    assert (gains["adjusted_loop"] == "shrinks").all()
+
+
+def test_forced_delays_have_the_growth_of_their_span(study: Study) -> None:
+    """Delays of 0 were planted: the loop of both gains is that without delay, in every span."""
+    growth = study.measures("growth")
+    own = growth[(growth["experiment"] == "gain_study") & (growth["value"] == "krasovskii")]
+    assert sorted(zip(own["policy"], own["span"], strict=True)) == [
+        ("adjusted", "calm"),
+        ("adjusted", "violated"),
+        ("nominal", "calm"),
+        ("nominal", "violated"),
+    ]
+    plant = plant_of(study.point("gain_study", "krasovskii").scenario)
+    loop = plant.A - plant.B @ plant.nominal_gain
+    radius = np.abs(np.linalg.eigvals(loop)).max()
+    assert own["loop_growth"].to_numpy() == pytest.approx(np.full(4, radius**2))
+    split = growth[growth["value"] == "razumikhin"].iloc[0]
+    plant = plant_of(study.point("gain_study", "razumikhin").scenario)
+    loop = plant.A - plant.B @ plant.nominal_gain + plant.A_d
+    radius = np.abs(np.linalg.eigvals(loop)).max()
+    assert split["loop_growth"] == pytest.approx(radius**2)
+
+
+def test_a_loop_is_local_or_not_known_where_nothing_tells(tiny: Scenario) -> None:
+    local = replace(tiny, control=replace(tiny.control, loop="local"))
+    assert loop_word(float("nan"), local) == "local"
+    assert [loop_word(x, tiny) for x in (float("nan"), 0.99, 1.0)] == [
+        "not known",
+        "shrinks",
+        "grows",
+    ]
 
 
 def test_the_worst_robot_is_the_one_that_grows(tiny: Scenario) -> None:
@@ -134,6 +227,31 @@ def test_the_worst_robot_is_the_one_that_grows(tiny: Scenario) -> None:
     assert robot == 1
     assert growth == loop_growth(tiny, schedule, counts[1])
     assert growth.nominal > 1.0
+
+
+def test_one_that_is_not_known_comes_first_and_nobody_is_followed_twice(
+    tiny: Scenario, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    schedule = _schedule(tiny)
+    steps = np.ones((400, 3), np.uint32)
+    steps[:, 1] = np.resize([5000, 6000], 400)
+    steps[:, 2] = np.resize([1, 2], 400)
+    counts = transitions(steps, tiny, 0.01)
+    asked: list[int] = []
+    follow = loop_growth_module.growth_in_force
+
+    def count(scenario: Scenario, *given: Any, **options: Any) -> float:
+        asked.append(len(given[1]))
+        return follow(scenario, *given, **options)
+
+    monkeypatch.setattr(loop_growth_module, "growth_in_force", count)
+    assert worst_unheld(tiny, schedule, counts) == (1, pytest.approx(np.nan, nan_ok=True))
+    assert asked == [1]
+    asked.clear()
+    robot, growth = worst_growth(tiny, schedule, counts[::2])
+    # Each of both once, then the worst with the nominal gain and held.
+    assert len(asked) == 4
+    assert growth == loop_growth(tiny, schedule, counts[::2][robot])
 
 
 def test_growth_is_of_the_truth_and_not_of_beliefs(tiny: Scenario) -> None:

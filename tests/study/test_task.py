@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
+from hiersched.core.files import write_parquet
 from hiersched.experiments.feasible import load_study
 from hiersched.experiments.logged import RunSlots
 from hiersched.experiments.points import REFERENCE
@@ -23,6 +24,8 @@ from hiersched.study.figures.task import (
     draw_traces,
     family_look,
 )
+from hiersched.study.growth import write_growth
+from hiersched.study.measure import chain_files
 from hiersched.study.statistics import Interval, holm, mean_interval, p_value
 from hiersched.study.study import Study
 from hiersched.study.tables.task import (
@@ -116,6 +119,10 @@ def study(scenario: Scenario, tmp_path: Path) -> Study:
     }
     limits = {"embb_share": 0.995, "embb_late_share": None}
     study = Study(scenario, tmp_path)
+    local = replace(scenario, gain_study=replace(scenario.gain_study, methods=()))
+    for name in chain_files(local):
+        write_parquet(tmp_path / name, pd.DataFrame())
+    write_growth(local, tmp_path)
     study.__dict__["task"] = task
     study.__dict__["tunings"] = {
         cell: {"families": families, "limits": limits} for cell in scenario.task_study.cells
@@ -285,7 +292,8 @@ def test_figures_show_every_policy(study: Study) -> None:
         for slot in range(40)
         for robot in range(2)
     )
-    study.measures = lambda table: traces  # type: ignore[method-assign]
+    tables = {"traces": traces, "growth": study.measures("growth")}
+    study.measures = tables.__getitem__  # type: ignore[method-assign, assignment]
     pareto = draw_pareto(study)
     (legend,) = pareto.legends
     labels = {text.get_text() for text in legend.get_texts()}

@@ -9,7 +9,7 @@ x(k+1) = A_c x(k) + A_d x(k-d(k)) with 0 <= d(k) <= T.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, Literal, SupportsIndex
 
 import numpy as np
@@ -107,6 +107,11 @@ class Certificate:
         self.spectral_radii.setflags(write=False)
 
     @property
+    def margins_hold(self) -> bool:
+        """Whether every margin exceeds the tolerance."""
+        return all(margin > self.tolerance for margin in self.margins.values())
+
+    @property
     def criterion(self) -> str:
         """Return the name of the condition; "none" where no witness was found."""
         return "none" if self.witness is None else self.witness.criterion
@@ -133,18 +138,27 @@ def certify(
     radii = spectral_radius_by_delay(A_c, A_d, steps)
     if witness is None:
         return Certificate(spectral_radii=radii)
-    margins, scale = _margins(A_c, A_d, steps, witness)
-    tolerance = 100.0 * float(np.finfo(float).eps) * scale
-    if simulations and all(margin > tolerance for margin in margins.values()):
+    margins, size = _margins(A_c, A_d, steps, witness)
+    if simulations and judged(margins, size, radii, witness).margins_hold:
         margins["simulation"] = _simulated_margin(A_c, A_d, steps, witness, simulations, seed)
-    return Certificate(
-        certified=all(margin > tolerance for margin in margins.values())
-        and bool((radii < 1.0).all()),
+    return judged(margins, size, radii, witness)
+
+
+def judged(
+    margins: Mapping[str, float],
+    size: float,
+    radii: FloatArray,
+    witness: Witness | IntervalWitness,
+) -> Certificate:
+    """Return what margins certify that were computed from numbers of a size, besides the radii."""
+    certificate = Certificate(
         margins=margins,
-        tolerance=tolerance,
+        tolerance=100.0 * float(np.finfo(float).eps) * size,
         spectral_radii=radii,
         witness=witness,
     )
+    certified = certificate.margins_hold and bool((radii < 1.0).all())
+    return replace(certificate, certified=certified)
 
 
 def _margins(

@@ -19,7 +19,7 @@ from typing import Any, NamedTuple, SupportsIndex
 import numpy as np
 import numpy.typing as npt
 
-from hiersched.control.certificate import Certificate, IntervalWitness
+from hiersched.control.certificate import Certificate, IntervalWitness, judged
 from hiersched.control.checks import FloatArray, as_loop, as_samples, as_symmetric, symmetrised
 from hiersched.control.lifted import lift, spectral_radius_by_delay
 
@@ -177,15 +177,7 @@ def certify_interval(
     if witness is None:
         return Certificate(spectral_radii=radii.copy())
     margins, size = _margins(A_c, A_d, least, most, witness)
-    tolerance = 100.0 * float(np.finfo(float).eps) * size
-    return Certificate(
-        certified=all(margin > tolerance for margin in margins.values())
-        and bool((radii < 1.0).all()),
-        margins=margins,
-        tolerance=tolerance,
-        spectral_radii=radii.copy(),
-        witness=witness,
-    )
+    return judged(margins, size, radii.copy(), witness)
 
 
 def _margins(

@@ -118,27 +118,34 @@ def second_moment_growth(
     gains: npt.ArrayLike,
     chain: Chain,
     input_gains: npt.ArrayLike | None = None,
+    *,
+    A_d: npt.ArrayLike | None = None,
 ) -> float:
     """Return by which factor a sample the second moment of a loop grows, below 1: it shrinks.
 
     The loop is x(k+1) = A x(k) + B u(k), u(k) = -K_e x(k-d) - sum_i H_{e,i} u(k-1-i), with the
     delay d and the entry e of the chain's state; `gains` (entries, m, n), `input_gains` (entries,
-    inputs, m, m), the newest first. Parts of the plant that do not act on each other count each by
-    itself: the factor is that of the part that grows most. ValueError where there are too many
-    states or delays are too long for it to be found.
+    inputs, m, m), the newest first. With `A_d` (n, n) it is that of a split plant, x(k+1) =
+    (A - B K_e) x(k) + A_d x(k-d), without such inputs. Parts of the plant that do not act on each
+    other count each by itself: the factor is that of the part that grows most. ValueError where
+    there are too many states or delays are too long for it to be found.
     """
     A, B, _ = as_plant(A, B, np.array(gains)[0])
     tables = np.array(gains, dtype=np.float64)
     m = B.shape[1]
+    late = None if A_d is None else as_matrix("A_d", A_d, A.shape)
     memory = np.zeros((len(tables), 0, m, m)) if input_gains is None else np.array(input_gains)
     if not memory.any():
         memory = memory[:, :0]
     loops = []
-    for states, inputs in _parts(A, B, tables, memory):
+    acting = A if late is None else np.abs(A) + np.abs(late)
+    for states, inputs in _parts(acting, B, tables, memory):
         own = np.ix_(range(len(tables)), inputs, states)
         past = memory[:, :, inputs][:, :, :, inputs]
-        plant = A[np.ix_(states, states)], B[np.ix_(states, inputs)]
-        loops.append(_new_values(*plant, tables[own], past, chain))
+        among = np.ix_(states, states)
+        plant = A[among], B[np.ix_(states, inputs)]
+        of_part = None if late is None else late[among]
+        loops.append(_new_values(*plant, tables[own], past, chain, of_part))
     return max(_growth(rows, chain) for rows in loops)
 
 
@@ -162,7 +169,12 @@ def _parts(
 
 
 def _new_values(
-    A: FloatArray, B: FloatArray, gains: FloatArray, memory: FloatArray, chain: Chain
+    A: FloatArray,
+    B: FloatArray,
+    gains: FloatArray,
+    memory: FloatArray,
+    chain: Chain,
+    A_d: FloatArray | None,
 ) -> FloatArray:
     """Return the new block of each loop, shape (S, b, N), on blocks that move down by a sample.
 
@@ -181,11 +193,14 @@ def _new_values(
     rows = np.zeros((count, block, size))
     for place, (delay, entry) in enumerate(zip(chain.delays, chain.entries, strict=True)):
         u = np.zeros((m, size))
-        u[:, block * delay : block * delay + n] = -gains[entry]
+        measured = slice(block * delay, block * delay + n)
+        u[:, measured if A_d is None else slice(n)] = -gains[entry]
         for back in range(remembered):
             u[:, block * back + n : block * (back + 1)] = -memory[entry, back]
         rows[place, :n] = B @ u
         rows[place, :n, :n] += A
+        if A_d is not None:
+            rows[place, :n, measured] += A_d
         rows[place, n:] = u[: block - n]
     return rows
 

@@ -240,6 +240,15 @@ def measure_values(scenario: Scenario, group: str) -> dict[str, Any]:
     return values
 
 
+def growth_values(scenario: Scenario) -> dict[str, Any]:
+    """Pick what the growth of loops depends on, besides chains and gains."""
+    return {
+        f"{experiment.name} {group}": run_values(scenario, experiment, group)
+        for experiment in experiments(scenario).values()
+        for group in groups(scenario, experiment)
+    }
+
+
 def bound_values(scenario: Scenario) -> dict[str, Any]:
     """Pick what the exact optima depend on, besides the logs."""
     return picked(scenario, (*_SLOT_LOOP, "evaluate", "bound"))

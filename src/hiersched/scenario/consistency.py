@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, fields
 from importlib import import_module
 from inspect import signature
@@ -15,7 +15,8 @@ from pydantic import ValidationError
 from hiersched.core.parameters import no_multiple, read_strictly
 from hiersched.core.registry import ALGORITHMS, BUILT_IN_ALGORITHMS
 from hiersched.models.model import SECTIONS
-from hiersched.models.plant.reference import period_s, tasks_of
+from hiersched.models.plant.estimator import MAX_TURN_RATE_RADPS
+from hiersched.models.plant.reference import greatest_turn_rate, period_s, tasks_of
 from hiersched.policies.find import UNTRAINED, ImportedPolicy, untrained_names
 from hiersched.scenario.fault_text import meant, own_faults
 from hiersched.scenario.reference_file import reference_faults
@@ -46,6 +47,7 @@ RESERVED_AXES = (
         "cell",
         "tune",
         "measure",
+        "growth",
         "train",
         "gains",
         "bound",
@@ -86,6 +88,8 @@ def inconsistencies(scenario: Scenario, *, swept: bool = False) -> list[str]:
         *_robot_kinds(scenario),
         *reference_faults(scenario, swept=swept),
     ]
+    if scenario.control.known_motion and not faults:
+        faults += _known_motion(scenario)
     for key in () if unfit else SECTIONS:  # they read a load of each user
         faults += _asked(key, model_at(scenario, key).faults, scenario)
     faults += [*_own_policies(scenario), *_learners(scenario)]
@@ -332,6 +336,20 @@ def _control(scenario: Scenario) -> list[str]:
             "'playout' (every command has a sample of its own)",
         ),
     )[:1] or _asked("plant", _filter, scenario)
+
+
+def _known_motion(scenario: Scenario) -> list[str]:
+    """Name references that turn faster than a filter that goes by them has models for."""
+    robot, faults = scenario.robot, []
+    for task in dict.fromkeys(tasks_of(robot, scenario.users.num_urllc)):
+        rate, keys = greatest_turn_rate(robot, task)
+        if rate > MAX_TURN_RATE_RADPS:
+            given = ", ".join(f"robot.{key} = {getattr(robot, key)}" for key in keys)
+            faults.append(
+                f"{given}: the reference {task.reference!r} turns at up to {rate:.6g} rad/s, must "
+                f"be at most {MAX_TURN_RATE_RADPS} rad/s with control.known_motion = true"
+            )
+    return list(dict.fromkeys(faults))
 
 
 def _filter(scenario: Scenario) -> list[str]:
@@ -591,14 +609,7 @@ def _gain_study(scenario: Scenario) -> list[str]:
         place = f"gain_study.cells.{name}"
         if cell.methods is not None:
             faults += _once(f"{place}.methods", cell.methods, "method")
-        faults += [
-            f"{place}.values.{key}: must be a key of {', '.join(LOOP_SECTIONS)}, and none of "
-            f"{', '.join(OF_METHODS)}"
-            for key in cell.values
-            if key.partition(".")[0] not in LOOP_SECTIONS
-            or key == "robot.reference_file"
-            or key in OF_METHODS
-        ]
+        faults += _cell_values(place, cell.values, LOOP_SECTIONS, OF_METHODS)
         longest = delay_steps(cell.delay_s, scenario.control.sampling_s)
         faults += _broken(
             (
@@ -618,6 +629,21 @@ def _gain_study(scenario: Scenario) -> list[str]:
         if low > high:
             faults.append(f"gain_study.{key} = [{low}, {high}]: the lower bound first")
     return faults
+
+
+def _cell_values(
+    place: str, keys: Iterable[str], sections: Sequence[str], others: Sequence[str] = ()
+) -> list[str]:
+    """Check that a cell sets keys of some sections, but for those that others decide.
+
+    Points of a reference are read but once, so its file is no key of a cell.
+    """
+    but = f", and none of {', '.join(others)}" if others else ""
+    return [
+        f"{place}.values.{key}: must be a key of {', '.join(sections)}{but}"
+        for key in keys
+        if key.partition(".")[0] not in sections or key in ("robot.reference_file", *others)
+    ]
 
 
 def _task_study(scenario: Scenario) -> list[str]:
@@ -645,11 +671,7 @@ def _task_study(scenario: Scenario) -> list[str]:
         place = f"task_study.cells.{name}"
         if f"task_{name}" in scenario.sweeps.axes:
             faults.append(f"{place}: must be another name: sweeps.axes has task_{name}")
-        faults += [
-            f"{place}.values.{key}: must be a key of {', '.join(TASK_SECTIONS)}"
-            for key in cell.values
-            if key.partition(".")[0] not in TASK_SECTIONS or key == "robot.reference_file"
-        ]
+        faults += _cell_values(place, cell.values, TASK_SECTIONS)
         for key, bounds in (
             ("expected_rms", cell.expected_rms),
             ("expected_p99", cell.expected_p99),

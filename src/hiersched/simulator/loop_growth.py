@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,9 +18,12 @@ from hiersched.control import (
     count_transitions,
     second_moment_growth,
 )
-from hiersched.scenario import Scenario
+from hiersched.scenario import Scenario, kinds_of_robots
 from hiersched.simulator.gain_source import BELIEVED
 from hiersched.simulator.loop_gains import plant_of
+
+GAINS: frozenset[Literal["nominal", "adjusted"]] = frozenset(("nominal", "adjusted"))
+"""What `control.gain` may be."""
 
 
 class LoopGrowth(NamedTuple):
@@ -44,13 +47,11 @@ def sampled_delays(
 def true_plant(scenario: Scenario) -> DelayedPlant:
     """Return the linear plant that runs, whatever the controller believes of it.
 
-    ValueError if not all of its feedback crosses the network.
+    ValueError if nothing of its loop crosses the network.
     """
-    truth = replace(scenario, control=replace(scenario.control, believed_lag_s=None))
-    plant = plant_of(truth)
-    if plant.kind != "network":
-        raise ValueError(f"control.loop = {scenario.control.loop!r}: must be 'network'")
-    return plant
+    if scenario.loop_kind == "local":
+        raise ValueError("control.loop = 'local': must be one that crosses the network")
+    return plant_of(replace(scenario, control=replace(scenario.control, believed_lag_s=None)))
 
 
 def separates(scenario: Scenario) -> bool:
@@ -68,28 +69,50 @@ def filter_growth(scenario: Scenario, lqg: Lqg) -> float:
     return lqg.growth if separates(scenario) else math.nan
 
 
+def growth_in_force(
+    scenario: Scenario,
+    schedule: GainSchedule,
+    counts: NDArray[np.float64],
+    *,
+    is_held: bool = True,
+) -> float:
+    """Return the growth of the loop as it runs, or as it were without a hold of its gains.
+
+    `counts` and errors as for `loop_growth`.
+    """
+    control, plant = scenario.control, true_plant(scenario)
+    if control.gain == "nominal":
+        gains = np.repeat(schedule.nominal[None], len(schedule.gains), axis=0)
+        return _growth(plant, counts, gains)
+    if schedule.lqg is not None:
+        return filter_growth(scenario, schedule.lqg)
+    hold_samples = control.hold_samples if is_held else 0
+    tables = schedule.gains, schedule.input_gains
+    return _growth(plant, counts, *tables, hold_samples=hold_samples)
+
+
 def loop_growth(
-    scenario: Scenario, schedule: GainSchedule, counts: NDArray[np.float64]
+    scenario: Scenario,
+    schedule: GainSchedule,
+    counts: NDArray[np.float64],
+    *,
+    unheld: float | None = None,
 ) -> LoopGrowth:
     """Return the growth over a robot's delays, as counted by `count_transitions`.
 
     At delays beyond the longest with a gain that one is in force, on the measurement that there is.
-    ValueError if not all feedback crosses the network.
+    `unheld`: that of the loop in force without a hold, where it is known already. ValueError if
+    nothing of the loop crosses the network.
     """
-    control, plant = scenario.control, true_plant(scenario)
-    nominal = _growth(plant, counts, _nominal_table(schedule))
-    if schedule.lqg is not None:
-        followed = in_force = filter_growth(scenario, schedule.lqg)
-    else:
-        tables = schedule.gains, schedule.input_gains
-        followed = in_force = _growth(plant, counts, *tables)
-        if control.hold_samples:
-            in_force = _growth(plant, counts, *tables, hold_samples=control.hold_samples)
-    return LoopGrowth(nominal, followed, nominal if control.gain == "nominal" else in_force)
-
-
-def _nominal_table(schedule: GainSchedule) -> NDArray[np.float64]:
-    return np.repeat(schedule.nominal[None], len(schedule.gains), axis=0)
+    control = scenario.control
+    of_gain = {} if unheld is None else {control.gain: unheld}
+    for gain in GAINS - of_gain.keys():
+        variant = replace(scenario, control=replace(control, gain=gain))
+        of_gain[gain] = growth_in_force(variant, schedule, counts, is_held=False)
+    in_force = of_gain[control.gain]
+    if control.gain == "adjusted" and control.hold_samples:
+        in_force = growth_in_force(scenario, schedule, counts)
+    return LoopGrowth(of_gain["nominal"], of_gain["adjusted"], in_force)
 
 
 def _growth(
@@ -102,36 +125,60 @@ def _growth(
 ) -> float:
     try:
         chain = chain_of_counts(counts, hold_samples=hold_samples, max_entry=len(gains) - 1)
-        return second_moment_growth(plant.A, plant.B, gains, chain, input_gains)
+        return second_moment_growth(plant.A, plant.B, gains, chain, input_gains, A_d=plant.A_d)
     except ValueError:  # no delay recurs, or they are too long
         return math.nan
 
 
-def unheld_growths(
-    scenario: Scenario, schedule: GainSchedule, counts: Sequence[NDArray[np.float64]]
-) -> list[float]:
-    """Return the growth of every robot's loop in force, but for a hold of its gains.
+def of_robot(
+    scenario: Scenario, schedule: GainSchedule, robot: int
+) -> tuple[Scenario, GainSchedule]:
+    """Return the scenario of a robot's kind, in which all are of that kind, and their gains."""
+    kind = scenario.kind_of_robot[robot]
+    return kinds_of_robots(scenario)[kind], (schedule, *schedule.kinds)[kind]
 
-    `counts` are those of `count_transitions` for every robot. Errors as of `loop_growth`.
+
+def greatest_growth(
+    scenario: Scenario, schedule: GainSchedule, counts: NDArray[np.float64]
+) -> float:
+    """Return the growth of the kind of robots whose loop grows most; all have the same delays.
+
+    NaN where one is not known. Arguments and errors as for `loop_growth`.
     """
-    plant = true_plant(scenario)
-    if scenario.control.gain == "nominal":
-        return [_growth(plant, own, _nominal_table(schedule)) for own in counts]
-    if schedule.lqg is not None:
-        return [filter_growth(scenario, schedule.lqg)] * len(counts)
-    return [_growth(plant, own, schedule.gains, schedule.input_gains) for own in counts]
+    of_kinds = dict.fromkeys(scenario.kind_of_robot)
+    robots = [scenario.kind_of_robot.index(kind) for kind in of_kinds]
+    growths = [growth_in_force(*of_robot(scenario, schedule, r), counts) for r in robots]
+    return float(np.max(growths))
+
+
+def worst_unheld(
+    scenario: Scenario, schedule: GainSchedule, counts: Sequence[NDArray[np.float64]]
+) -> tuple[int, float]:
+    """Return the robot whose loop in force, but for a hold, grows most, and its growth.
+
+    `counts` are those of `count_transitions` for every robot. One that is not known comes first:
+    the others are not followed then. Errors as of `loop_growth`.
+    """
+    worst, greatest = 0, -math.inf
+    # Those whose delays are too long are told at once: they count as the longest.
+    sizes = [len(own) if own.any() else math.inf for own in counts]
+    for robot in sorted(range(len(counts)), key=lambda robot: (-sizes[robot], robot)):
+        own = of_robot(scenario, schedule, robot)
+        growth = growth_in_force(*own, counts[robot], is_held=False)
+        if math.isnan(growth):
+            return robot, growth
+        if growth > greatest:
+            worst, greatest = robot, growth
+    return worst, greatest
 
 
 def worst_growth(
     scenario: Scenario, schedule: GainSchedule, counts: Sequence[NDArray[np.float64]]
 ) -> tuple[int, LoopGrowth]:
-    """Return the robot of the greatest of `unheld_growths`, one that is not known first, and how.
-
-    Arguments and errors as there.
-    """
-    growths = unheld_growths(scenario, schedule, counts)
-    robot = int(np.argmax(np.nan_to_num(growths, nan=np.inf)))
-    return robot, loop_growth(scenario, schedule, counts[robot])
+    """Return the robot of `worst_unheld`, and its growth with all gains."""
+    robot, unheld = worst_unheld(scenario, schedule, counts)
+    own = of_robot(scenario, schedule, robot)
+    return robot, loop_growth(*own, counts[robot], unheld=unheld)
 
 
 def transitions(

@@ -1,15 +1,33 @@
-"""How the loops of a study grow over the delays that their networks gave."""
+"""How the loops of a study grow over the delays that they had: table ``growth`` of its measures.
+
+A row is a point of an experiment under a policy (of the gain study a gain), and there a `span` of
+its windows, ``violated`` or ``calm``: `loop_growth` and the word for it, `loop`; of an evaluation
+the worst `robot`, and `nominal`, `followed` and `in_force` of `LoopGrowth` for it.
+"""
 
 from __future__ import annotations
 
-import numpy as np
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
 import pandas as pd
 
 from hiersched.control.checks import FloatArray
 from hiersched.control.second_moments import transition_counts
+from hiersched.core.files import write_parquet
+from hiersched.experiments import files
+from hiersched.experiments.gains import design_of
+from hiersched.experiments.points import Experiment, Point, experiments
+from hiersched.experiments.run import gain_variant
 from hiersched.scenario import Scenario
-from hiersched.simulator.loop_growth import unheld_growths
-from hiersched.study.study import Study
+from hiersched.simulator.gain_source import read_gains
+from hiersched.simulator.loop_growth import greatest_growth, worst_growth, worst_unheld
+from hiersched.study.measure import chain_files
+
+LOCAL, UNKNOWN, SHRINKS, GROWS = "local", "not known", "shrinks", "grows"
+"""What a loop may be called."""
 
 
 def has_network_loop(scenario: Scenario) -> bool:
@@ -17,17 +35,71 @@ def has_network_loop(scenario: Scenario) -> bool:
     return scenario.loop_kind == "network"
 
 
+def write_growth(scenario: Scenario, results: Path) -> None:
+    """Follow the loops of every point over its chains, and write the table."""
+    of_run: dict[Any, pd.DataFrame] = {}
+    for name in chain_files(scenario):
+        chains = pd.read_parquet(results / name)
+        if len(chains):
+            by = ["experiment", "value", "gain" if "gain" in chains else "policy"]
+            of_run |= dict(iter(chains.groupby(by)))
+    rows = []
+    for experiment in experiments(scenario).values():
+        for point, policy in experiment.runs(experiment.policies):
+            own = of_run.get((experiment.name, point.value, policy))
+            labels = {"experiment": experiment.name, "value": point.value, "policy": policy}
+            rows += [
+                {**labels, **row, "loop": loop_word(row["loop_growth"], point.scenario)}
+                for row in _growths(scenario, results, experiment, point, policy, own)
+            ]
+    write_parquet(results / files.GROWTH, pd.DataFrame(rows))
+
+
+def loop_word(growth: float, scenario: Scenario) -> str:
+    """Say what a loop with some growth does, in a scenario."""
+    if scenario.loop_kind == "local":
+        return LOCAL
+    if math.isnan(growth):
+        return UNKNOWN
+    return SHRINKS if growth < 1.0 else GROWS
+
+
+def _growths(
+    scenario: Scenario,
+    results: Path,
+    experiment: Experiment,
+    point: Point,
+    policy: str,
+    chains: pd.DataFrame | None,
+) -> Iterator[dict[str, Any]]:
+    """Yield the rows of a policy at a point: one, under forced delays one a span."""
+    variant = point.scenario
+    if variant.loop_kind == "local":
+        yield {"span": "", "loop_growth": math.nan}
+        return
+    assert chains is not None  # such runs have them
+    schedule = read_gains(results / files.gain_file(design_of(scenario, variant)), variant)
+    if experiment.forced:
+        # Delays of all robots are drawn alike: together they are one chain.
+        variant = gain_variant(point, policy)  # type: ignore[arg-type]  # one of GAINS
+        for span, own in chains.groupby("span", sort=False):
+            yield {"span": span, "loop_growth": greatest_growth(variant, schedule, counts_of(own))}
+        return
+    counts = robot_counts(chains)
+    if experiment.stage == "evaluate":
+        robot, growth = worst_growth(variant, schedule, counts)
+        unheld = growth.nominal if variant.control.gain == "nominal" else growth.followed
+        yield {"span": "", "robot": robot, "loop_growth": unheld, **growth._asdict()}
+        return
+    robot, unheld = worst_unheld(variant, schedule, counts)
+    yield {"span": "", "robot": robot, "loop_growth": unheld}
+
+
+def counts_of(chains: pd.DataFrame) -> FloatArray:
+    """Return how often each delay followed another."""
+    return transition_counts(*(chains[name] for name in ("delay_steps", "next_steps", "count")))
+
+
 def robot_counts(chains: pd.DataFrame) -> list[FloatArray]:
     """Return how often each delay of a robot followed another, robot by robot."""
-    names = "delay_steps", "next_steps", "count"
-    return [transition_counts(*(own[name] for name in names)) for _, own in chains.groupby("robot")]
-
-
-def greatest_growths(study: Study) -> dict[str, float]:
-    """Return the growth of each policy's worst loop, without the hold; NaN: not known."""
-    scenario = study.scenario
-    schedule, chains = study.schedule(scenario), study.measures("chains")
-    return {
-        str(policy): float(np.max(unheld_growths(scenario, schedule, robot_counts(own))))
-        for policy, own in chains.groupby("policy", sort=False)
-    }
+    return [counts_of(own) for _, own in chains.groupby("robot")]

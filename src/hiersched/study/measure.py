@@ -16,8 +16,9 @@ rates
     A rate: `share` of the slots or windows (`span`) and users of a `slice` at or below it, in a
     logged run of the evaluation.
 chains
-    A transition of a robot's delay from one control sample to the next, in an evaluation's logged
-    run, and its `count`.
+    A transition of a robot's delay from one control sample to the next, in a logged run whose loops
+    cross the network, and its `count`; of the gain study within a `span` of its windows,
+    ``violated`` or ``calm``.
 delays
     A time: `share` of the delivered URLLC packets of such a run that took longer.
 task
@@ -76,7 +77,7 @@ RUN_TABLES = ("runs", "windows", "slots", "rates", "delays", "chains")
 """Of a group of policies."""
 TASK_TABLES = ("task", "traces")
 """Of a group of policies that runs in the study of the task."""
-GAIN_TABLES = ("windows", "slots")
+GAIN_TABLES = ("windows", "slots", "chains")
 """Of the gain study."""
 PROGRESS = {
     "reward_urllc": "urllc_reward",
@@ -119,6 +120,12 @@ def measured_groups(scenario: Scenario) -> dict[str, tuple[str, ...]]:
 def table_file(table: str, group: str) -> str:
     """Table of measures of a group, relative to the folder of the study."""
     return f"measures/{table}/{group}.parquet"
+
+
+def chain_files(scenario: Scenario) -> list[str]:
+    """List the tables ``chains``: of groups of policies that run, and not only train."""
+    tables = measured_groups(scenario).items()
+    return [table_file("chains", group) for group, names in tables if "chains" in names]
 
 
 def measured_files(scenario: Scenario, group: str) -> list[str]:
@@ -187,7 +194,8 @@ def _measure_runs(
             found["slots"] = _slots(run)
             found["rates"] = _rates(run, point.scenario)
             found["delays"] = _delays(sojourns, point.scenario)
-            found["chains"] = _chains(run, point.scenario)
+        if point.scenario.loop_kind != "local":
+            found["chains"] = _chains(run.measured("delay_steps"), point.scenario)
         for name, frame in found.items():
             tables[name].append(frame.assign(**labels, policy=policy, seed=seed))
     table = pd.DataFrame(rows).assign(logged=True)
@@ -222,6 +230,11 @@ def _measure_task(
     knob = getattr(rule, rule.knob) if isinstance(rule, Rule) and rule.knob else np.nan
     labels = {"cell": cell, "point": point.value, "knob": np.nan if point.tuned else knob}
     tables["task"].append(runs.assign(**labels))
+    for seed in experiment.logged_seeds if point.scenario.loop_kind != "local" else ():
+        run = read_slots(results / files.run_log(experiment, point, policy, seed), ["delay_steps"])
+        chains = _chains(run.measured("delay_steps"), point.scenario)
+        labels = {"experiment": experiment.name, "axis": experiment.axis, "value": point.value}
+        tables["chains"].append(chains.assign(**labels, policy=policy, seed=seed))
     if scenario.task_study.cells[cell].pareto and point.tuned and policy not in scenario.learned:
         path = results / files.run_log(experiment, point, policy, experiment.seeds[0])
         tables["traces"].append(_trace(path, point.scenario).assign(cell=cell, policy=policy))
@@ -314,15 +327,32 @@ def _rates(run: RunSlots, scenario: Scenario) -> pd.DataFrame:
     return pd.concat(frames, ignore_index=True)
 
 
-def _chains(run: RunSlots, scenario: Scenario) -> pd.DataFrame:
-    """Count how often a robot's delay was followed by another, sample by sample."""
-    delays = sampled_delays(run.measured("delay_steps"), scenario, run.slot_s)
+def _chains(
+    delay_steps: NDArray[Any], scenario: Scenario, is_violated: NDArray[np.bool_] | None = None
+) -> pd.DataFrame:
+    """Count how often a robot's delay was followed by another, sample by sample.
+
+    `delay_steps` (T, R) are those of slots. With `is_violated` (T,) each pair of samples counts for
+    the span of both, and for none if they differ.
+    """
+    slot_s = scenario.radio.slot_s
+    delays = sampled_delays(delay_steps, scenario, slot_s)
+    start, end, robots = delays[:-1], delays[1:], np.arange(delays.shape[1])
+    spans = {"": np.ones(len(start), np.bool_)}
+    if is_violated is not None:
+        violated = sampled_delays(is_violated[:, None], scenario, slot_s)[:, 0] > 0
+        spans = {
+            "violated": violated[:-1] & violated[1:],
+            "calm": ~(violated[:-1] | violated[1:]),
+        }
+    base = int(delays.max(initial=0)) + 1
     frames = []
-    for robot, own in enumerate(delays.T):
-        pairs, count = np.unique(np.stack([own[:-1], own[1:]]), axis=1, return_counts=True)
-        start, end = pairs
+    for span, counted in spans.items():
+        codes = ((robots * base + start[counted]) * base + end[counted]).ravel()
+        code, count = np.unique(codes, return_counts=True)
+        rows = {"robot": code // base**2, "delay_steps": code // base % base}
         frames.append(
-            pd.DataFrame({"robot": robot, "delay_steps": start, "next_steps": end, "count": count})
+            pd.DataFrame({**rows, "next_steps": code % base, "count": count, "span": span})
         )
     return pd.concat(frames, ignore_index=True)
 
@@ -343,13 +373,19 @@ def _measure_gains(
     """Add robots under forced delays to ``windows``, and around a violation to ``slots``."""
     window = slots_per_window(point.scenario)
     labels = {"experiment": experiment.name, "axis": experiment.axis, "value": point.value}
+    assert point.delays is not None  # they are forced
     for seed in experiment.seeds:
         path = results / files.run_log(experiment, point, gain, seed)
         with LogReader(path, verify="chunks") as log:
-            fields = log.read("/robots", ["tracking_error_m", "control_saturated"])
+            names = ["tracking_error_m", "control_saturated", "delay_steps"]
+            fields = log.read("/robots", names)
         windows = _windows(fields, point.scenario)
         tables["windows"].append(windows.assign(**labels, gain=gain, seed=seed))
-        if experiment.axis or point.delays is None:
+        steps = fields["delay_steps"]
+        is_violated = np.isin(np.arange(len(steps)) // window + 1, point.delays.windows)
+        chains = _chains(steps, point.scenario, is_violated)
+        tables["chains"].append(chains.assign(**labels, gain=gain, seed=seed))
+        if experiment.axis:
             continue
         begin = (min(point.delays.windows) - 1) * window
         span = slice(max(0, begin - window), begin + (1 + WINDOWS_AFTER) * window)

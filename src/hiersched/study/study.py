@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,12 @@ from hiersched.experiments.points import Point, experiments
 from hiersched.experiments.tune import read_tuning
 from hiersched.scenario import Scenario
 from hiersched.simulator.gain_source import read_gains
-from hiersched.study.measure import RUN_TABLES, TASK_TABLES, measured_groups, table_file
+from hiersched.study.measure import (
+    RUN_TABLES,
+    TASK_TABLES,
+    measured_groups,
+    table_file,
+)
 
 
 class Study:
@@ -30,12 +36,13 @@ class Study:
     def sources(scenario: Scenario, reads: tuple[str, ...]) -> list[str]:
         """List the files of tables of measures, relative to the folder of the study.
 
-        They are the tables of `measure` (runs, windows, slots, rates, delays, task, traces,
-        episodes), ``bound`` (exact optima), ``stability`` (regions of the gain study),
-        ``schedules`` (its gains) and ``tunings`` (knobs of the study of the task); ValueError for
-        any other.
+        They are the tables of `measure` (runs, windows, slots, rates, delays, chains, task, traces,
+        episodes), ``growth`` (of loops over their delays), ``bound`` (exact optima), ``stability``
+        (regions of the gain study), ``schedules`` (its gains) and ``tunings`` (knobs of the study
+        of the task); ValueError for any other.
         """
         own = {
+            "growth": [files.GROWTH],
             "bound": [files.BOUND],
             "stability": [files.STABILITY],
             "tunings": [files.tuning_file(cell) for cell in scenario.task_study.cells],
@@ -131,6 +138,37 @@ class Study:
         points = (point for experiment in own for point in experiment.points)
         found = (point.scenario for point in points if _number(point.value) == value)
         return next(found, self.scenario)  # the evaluation's, where nothing is varied
+
+    @cached_property
+    def _growth(self) -> dict[tuple[str, float | str, str, str], Mapping[Any, Any]]:
+        """Rows of the table ``growth`` by experiment, value, policy or gain, and span."""
+        return {
+            (row["experiment"], _number(row["value"]), row["policy"], row["span"]): row
+            for row in self.measures("growth").to_dict("records")
+        }
+
+    def loop_columns(
+        self,
+        experiment: str,
+        value: float | str,
+        policy: str,
+        *,
+        span: str = "",
+        name: str = "loop",
+    ) -> dict[str, Any]:
+        """Return what a table says of the loops behind its errors: growth, and the word for it.
+
+        At a point of an experiment, under a policy or a gain; of the gain study in a span of its
+        windows, ``violated`` or ``calm``. A name of the columns tells several loops apart.
+        """
+        key = _number(value) if isinstance(value, str) else value
+        row = self._growth[experiment, key, policy, span]
+        return {f"{name}_growth": row["loop_growth"], name: row["loop"]}
+
+    def loop_of(self, runs: pd.DataFrame, name: str = "loop") -> dict[str, Any]:
+        """Return `loop_columns` of some rows of `runs`, all of one policy at the same point."""
+        first = runs.iloc[0]
+        return self.loop_columns(first["experiment"], first["value"], first["policy"], name=name)
 
     def schedule(self, variant: Scenario) -> GainSchedule:
         """Read the gain schedule of a variant of the scenario."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -86,6 +86,11 @@ def runs_of(study: Study, cell: str, policy: str, point: str = TUNED) -> pd.Data
     """Return the runs of a policy at a point of a cell, as `samples` takes them."""
     runs = study.task
     return runs[(runs["cell"] == cell) & (runs["policy"] == policy) & (runs["point"] == point)]
+
+
+def loop_at(study: Study, cell: str, policy: str, point: str = TUNED) -> dict[str, Any]:
+    """Return how the loops grow under a policy at a point of a cell: `Study.loop_columns`."""
+    return study.loop_columns(f"{TASK}_{cell}", point, policy)
 
 
 def load_of(scenario: Scenario, cell: str) -> float:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -72,16 +72,38 @@ def _zigzag(robot: Robot, arc_m: FloatArray) -> FloatArray:
     return math.radians(robot.zigzag_heading_deg) * wave * sincos(wave * arc_m)[1]
 
 
-_PATHS: dict[str, tuple[Callable[[Robot], float], Callable[[Robot, FloatArray], FloatArray]]] = {
-    "straight": (lambda robot: 0.0, lambda robot, arc_m: np.zeros_like(arc_m)),
-    "arc": (
+class _Path(NamedTuple):
+    """What a path is, from a scenario's robot."""
+
+    period_m: Callable[[Robot], float]  # after which it repeats itself [m], 0 for never
+    curvature: Callable[[Robot, FloatArray], FloatArray]  # by way [1/m]
+    greatest: Callable[[Robot], float]  # curvature [1/m]
+    keys: tuple[str, ...] = ()  # that decide over it
+
+
+_PATHS: dict[str, _Path] = {
+    "straight": _Path(lambda _: 0.0, lambda _, arc_m: np.zeros_like(arc_m), lambda _: 0.0),
+    "arc": _Path(
         lambda robot: 2.0 * math.pi * robot.arc_radius_m,
         lambda robot, arc_m: np.full_like(arc_m, 1.0 / robot.arc_radius_m),
+        lambda robot: 1.0 / robot.arc_radius_m,
+        ("arc_radius_m",),
     ),
-    "figure_eight": (lambda robot: _LEMNISCATE_LENGTH * robot.eight_half_width_m, _figure_eight),
-    "zigzag": (lambda robot: robot.zigzag_period_m, _zigzag),
+    "figure_eight": _Path(
+        lambda robot: _LEMNISCATE_LENGTH * robot.eight_half_width_m,
+        _figure_eight,
+        lambda robot: 3.0 / robot.eight_half_width_m,
+        ("eight_half_width_m",),
+    ),
+    "zigzag": _Path(
+        lambda robot: robot.zigzag_period_m,
+        _zigzag,
+        lambda robot: (
+            2.0 * math.pi * math.radians(robot.zigzag_heading_deg) / robot.zigzag_period_m
+        ),
+        ("zigzag_heading_deg", "zigzag_period_m"),
+    ),
 }
-"""Length [m] after which a path repeats itself, 0 for never, and its curvature [1/m] by way."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,8 +152,28 @@ def period_s(robot: Robot) -> float:
         if name == "file" and robot.reference_repeat and robot.reference_points:
             longest = max(longest, float(robot.reference_points[-1][0]))
         elif name in _PATHS:
-            longest = max(longest, _PATHS[name][0](robot) / robot.speed_mps)
+            longest = max(longest, _PATHS[name].period_m(robot) / robot.speed_mps)
     return longest
+
+
+def greatest_turn_rate(robot: Robot, task: Task) -> tuple[float, tuple[str, ...]]:
+    """Return the turn rate [rad/s] that a task may reach, and the keys of `robot` that decide.
+
+    Of reaches, which worlds draw, it is the bound. A scale changes no turn rate.
+    """
+    if task.reference == "reach":
+        # As `operator.draw_reaches` rounds durations; its rate is greatest in the middle.
+        shortest_s = robot.reach_duration_s[0] / task.pace
+        steps = max(1, round(shortest_s / robot.substep_s))
+        rate = 30.0 / 16.0 * robot.reach_turn_rad / (steps * robot.substep_s)
+        return rate, ("reach_turn_rad", "reach_duration_s", "reference_pace")
+    if task.reference == "file":
+        points = np.array(robot.reference_points, dtype=np.float64)
+        rates = np.abs(turns(points)) / np.diff(points[:, 0])
+        return task.pace * float(rates.max()), ("reference_file", "reference_pace")
+    path = _PATHS[task.reference]
+    rate = robot.speed_mps * task.pace * path.greatest(robot)
+    return rate, (*path.keys, "speed_mps", "reference_pace")
 
 
 def task_table(
@@ -183,14 +225,14 @@ def reference_table(
         )
     if name not in _PATHS:
         raise ValueError(f"reference = {name!r}: must be one of {', '.join(_PATHS)}")
-    period_m, curvature = _PATHS[name]
-    period_steps = period_m(robot) / (speed_mps * step_s)
+    path = _PATHS[name]
+    period_steps = path.period_m(robot) / (speed_mps * step_s)
     offset = np.array(
         [round(period_steps * number / num_robots) for number in range(num_robots)], dtype=np.int64
     )
     total = num_steps + int(offset.max(initial=0))
     middle_m = (np.arange(total, dtype=np.float64) + 0.5) * (step_s * speed_mps)
-    turn_rate = speed_mps * curvature(robot, middle_m)
+    turn_rate = speed_mps * path.curvature(robot, middle_m)
     return integrated(np.full(total, speed_mps), turn_rate, step_s, np.zeros(3)), offset
 
 

@@ -297,7 +297,7 @@ def delay_tails(study: Study) -> pd.DataFrame:
 @figure(
     "figX_generalise",
     title="Policies in cells of other sizes: the learned ones run unchanged.",
-    reads=("runs",),
+    reads=("runs", "growth"),
     when=has_cells,
 )
 def draw_generalise(study: Study) -> Figure:

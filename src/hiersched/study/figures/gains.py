@@ -41,7 +41,7 @@ _VIOLATED: dict[str, Any] = {"color": "#dddddd", "zorder": 0, "linewidth": 0}
     "figX_gain",
     title="Table II as a figure: tracking error in the windows of violated delay, nominal against "
     "adjusted gain, mean and 95 % interval over seeds, with the paper's ratios as stars.",
-    reads=("windows",),
+    reads=("windows", "growth"),
     when=has_gain_study,
 )
 def draw_gain(study: Study) -> Figure:
@@ -119,7 +119,7 @@ _LEAST_SPAN = 1.25
     title="Tracking error with the adjusted gain over that with the nominal one, for each "
     "weight q of the regulator and each constant delay in the violated window, in the "
     "same worlds; right, the nominal gain's own error.",
-    reads=("windows", "schedules"),
+    reads=("windows", "schedules", "growth"),
     when=has_gain_grid,
 )
 def draw_gain_grid(study: Study) -> Figure:
@@ -227,7 +227,7 @@ _SHIFT = 0.009
     title="First unstable delay of the nominal loop against the sampling interval; the ratio of "
     "tracking errors, adjusted over nominal, against the sampling interval and against "
     "the measurement noise.",
-    reads=("windows", "schedules", "stability"),
+    reads=("windows", "schedules", "stability", "growth"),
     when=has_gain_sweeps,
 )
 def draw_gain_sweeps(study: Study) -> Figure:

@@ -22,7 +22,7 @@ _MOST_CM = 1000.0
     "figX_gain_cells",
     title="Tracking error of every method under constant delays, delays that grow and fall, turns "
     "for which no gain is certified, and wrong beliefs.",
-    reads=("windows",),
+    reads=("windows", "growth"),
     when=has_loop_cells,
 )
 def draw_gain_cells(study: Study) -> Figure:

@@ -71,7 +71,7 @@ def family_look(scenario: Scenario, policy: str) -> Look:
     "figX_task_pareto",
     title="eMBB throughput against tracking error, one curve a family over its knob; not in the "
     "paper.",
-    reads=("task", "tunings"),
+    reads=("task", "tunings", "growth"),
     when=has_pareto,
 )
 def draw_pareto(study: Study) -> Figure:
@@ -221,7 +221,7 @@ def _draw_line(study: Study, panel: Axes, cells: list[str], short: str, look: Lo
 @figure(
     "figX_task_learners",
     title="What learning adds to the best rule that knows the task; not in the paper.",
-    reads=("task", "tunings"),
+    reads=("task", "tunings", "growth"),
     when=has_task_learners,
 )
 def draw_learners(study: Study) -> Figure:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from hiersched.control import GainSchedule, spectral_radius_by_delay
-from hiersched.experiments.points import STUDY_PLANTS, baseline_method, experiments
+from hiersched.experiments.points import GAINS, STUDY_PLANTS, Gain, baseline_method, experiments
 from hiersched.scenario import Scenario, delay_steps
 from hiersched.scenario.schema import GainMethod
 from hiersched.simulator.loop_gains import plant_of
@@ -20,7 +20,7 @@ from hiersched.study.paper import TABLE2
 from hiersched.study.registry import has_gain_study, table
 from hiersched.study.statistics import Interval, mean_interval, paired_log_ratio
 from hiersched.study.study import Study
-from hiersched.study.tables.text import RATIO_NOTE, SEEDS_NOTE, TROUBLE_NOTE
+from hiersched.study.tables.text import FORCED_LOOP_NOTE, RATIO_NOTE, SEEDS_NOTE, TROUBLE_NOTE
 
 _UNKNOWN = math.nan, math.nan
 
@@ -62,8 +62,8 @@ def schedule_state(schedule: GainSchedule, delays: range) -> dict[str, Any]:
     note=f"{SEEDS_NOTE} {RATIO_NOTE} `violated` and `calm`: all such slots. `delay_steps`, "
     "`status`, `certified`: the delays there, the gains in force at them and how many of these are "
     "certified; gains follow the delay, so a method may also differ from the nominal gain in "
-    f"calm slots. {TROUBLE_NOTE}",
-    reads=("windows", "schedules"),
+    f"calm slots. {TROUBLE_NOTE} {FORCED_LOOP_NOTE}",
+    reads=("windows", "schedules", "growth"),
     when=has_gain_study,
 )
 def methods_table(study: Study) -> pd.DataFrame:
@@ -88,8 +88,26 @@ def methods_table(study: Study) -> pd.DataFrame:
             bounds = gain_study.calm_delay_s if slot == "calm" else gain_study.violation_delay_s
             labels = {"method": method, "plant": STUDY_PLANTS[method], "slot": slot}
             row = {**labels, **compared(by_run(own[own["window"].isin(windows)]))}
-            rows.append(row | schedule_state(schedule, delay_range(scenario, bounds)))
+            row |= schedule_state(schedule, delay_range(scenario, bounds))
+            rows.append(row | method_loops(study, method, is_violated=slot != "calm"))
     return pd.DataFrame(rows)
+
+
+def method_loops(study: Study, method: GainMethod, *, is_violated: bool) -> dict[str, Any]:
+    """Return how the loops grow, with the nominal gain on a method's plant and with its gains."""
+    first = baseline_method(study.scenario, method)
+    return both_loops(study, "gain_study", {"nominal": first, "adjusted": method}, is_violated)
+
+
+def both_loops(
+    study: Study, experiment: str, values: Mapping[Gain, str], is_violated: bool
+) -> dict[str, Any]:
+    """Return how the loops with both gains grow, each at a point of the gain study."""
+    span = "violated" if is_violated else "calm"
+    row: dict[str, Any] = {}
+    for gain, value in values.items():
+        row |= study.loop_columns(experiment, value, gain, span=span, name=f"{gain}_loop")
+    return row
 
 
 def sweep_points_table(study: Study, experiment: str) -> pd.DataFrame:
@@ -123,6 +141,7 @@ def sweep_points_table(study: Study, experiment: str) -> pd.DataFrame:
             for delay in delays
         )
         ratio = Interval(row["ratio"], row["ratio_lo"], row["ratio_hi"])
+        row |= both_loops(study, experiment, dict.fromkeys(GAINS, str(value)), is_violated=True)
         rows.append({**row, "effect": effect_of(ratio) if own_gain else "same gain"})
     return pd.DataFrame(rows)
 
@@ -154,8 +173,8 @@ def compared(runs: pd.DataFrame) -> dict[str, Any]:
     "gain_grid",
     title="Gain study: weight q against a constant delay in the violated window",
     note=f"{SEEDS_NOTE} {RATIO_NOTE} `effect`: helps or hurts where that interval excludes 1, "
-    f"`same gain` where the nominal gain stays in force. {TROUBLE_NOTE}",
-    reads=("windows", "schedules"),
+    f"`same gain` where the nominal gain stays in force. {TROUBLE_NOTE} {FORCED_LOOP_NOTE}",
+    reads=("windows", "schedules", "growth"),
     when=has_gain_grid,
 )
 def grid_table(study: Study) -> pd.DataFrame:
@@ -170,8 +189,8 @@ def grid_table(study: Study) -> pd.DataFrame:
     title="Gain study: sampling interval and measurement noise",
     note=f"{SEEDS_NOTE} {RATIO_NOTE} The first unstable constant delay is of the nominal gain, by "
     "the spectral radius of the lifted system; a dash: none up to the longest delay with a gain. "
-    f"{TROUBLE_NOTE}",
-    reads=("windows", "schedules", "stability"),
+    f"{TROUBLE_NOTE} {FORCED_LOOP_NOTE}",
+    reads=("windows", "schedules", "stability", "growth"),
     when=has_gain_sweeps,
 )
 def sweeps_table(study: Study) -> pd.DataFrame:
@@ -312,8 +331,8 @@ def runs_by_method(study: Study) -> Iterator[tuple[GainMethod, int, pd.DataFrame
     "table2_gain",
     title="Table II: tracking error in the windows of violated delay",
     note=f"{SEEDS_NOTE} Root mean square over a window, mean over robots; slot 1 is the first "
-    f"window. {RATIO_NOTE} The paper gives no unit: only its ratio compares.",
-    reads=("windows",),
+    f"window. {RATIO_NOTE} The paper gives no unit: only its ratio compares. {FORCED_LOOP_NOTE}",
+    reads=("windows", "growth"),
     when=has_gain_study,
 )
 def violated_table(study: Study) -> pd.DataFrame:
@@ -327,8 +346,8 @@ def violated_table(study: Study) -> pd.DataFrame:
 @table(
     "table2_methods",
     title="Tracking error in every window of the gain study, by method",
-    note=f"{SEEDS_NOTE} {RATIO_NOTE}",
-    reads=("windows",),
+    note=f"{SEEDS_NOTE} {RATIO_NOTE} {FORCED_LOOP_NOTE}",
+    reads=("windows", "growth"),
     when=has_gain_study,
 )
 def gain_table(study: Study) -> pd.DataFrame:
@@ -353,6 +372,7 @@ def gain_table(study: Study) -> pd.DataFrame:
                 "paper_nominal": nominal,
                 "paper_adjusted": adjusted,
                 "paper_ratio": adjusted / nominal,
+                **method_loops(study, method, is_violated=violated),
             }
         )
     return pd.DataFrame(rows)

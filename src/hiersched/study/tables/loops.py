@@ -7,16 +7,16 @@ import math
 import numpy as np
 import pandas as pd
 
-from hiersched.control import simulate_lqg
+from hiersched.control import Lqg, simulate_lqg
 from hiersched.experiments.points import LOOP_CELLS, STUDY_PLANTS, experiments
 from hiersched.scenario import Scenario, delay_steps
-from hiersched.simulator.loop_growth import filter_growth, separates, worst_growth
-from hiersched.study.growth import has_network_loop, robot_counts
+from hiersched.simulator.loop_growth import LoopGrowth, filter_growth, separates
+from hiersched.study.growth import has_network_loop, loop_word
 from hiersched.study.registry import table
 from hiersched.study.statistics import mean_interval, paired_log_ratio
 from hiersched.study.study import Study
 from hiersched.study.tables.gains import by_run
-from hiersched.study.tables.text import RATIO_NOTE, SEEDS_NOTE, TROUBLE_NOTE
+from hiersched.study.tables.text import FORCED_LOOP_NOTE, RATIO_NOTE, SEEDS_NOTE, TROUBLE_NOTE
 
 SIMULATED = 1200, 200
 """Samples and runs in which the linear robot is simulated; the first quarter is not measured."""
@@ -71,8 +71,8 @@ def cell_runs(study: Study) -> dict[str, dict[str, pd.DataFrame]]:
     "gain_cells",
     title="Gain study: methods at constant and growing delays, and where beliefs are wrong",
     note=f"{SEEDS_NOTE} Root mean square over a window, mean over windows and robots. "
-    f"`over_first`: over the cell's first method. {RATIO_NOTE} {TROUBLE_NOTE}",
-    reads=("windows",),
+    f"`over_first`: over the cell's first method. {RATIO_NOTE} {TROUBLE_NOTE} {FORCED_LOOP_NOTE}",
+    reads=("windows", "growth"),
     when=has_loop_cells,
 )
 def cells_table(study: Study) -> pd.DataFrame:
@@ -81,8 +81,11 @@ def cells_table(study: Study) -> pd.DataFrame:
     for name, runs in cell_runs(study).items():
         cell = study.scenario.gain_study.cells[name]
         errors = {method: own["error_cm"].to_numpy() for method, own in runs.items()}
-        first = next(iter(errors.values()))
+        first_method, first = next(iter(errors.items()))
         for method, own in runs.items():
+            is_nominal = method == "nominal"
+            place = f"{name}_{first_method if is_nominal else method}"
+            gain = "nominal" if is_nominal else "adjusted"
             ratio = paired_log_ratio(errors[method], first).columns("over_first")
             rows.append(
                 {
@@ -95,6 +98,7 @@ def cells_table(study: Study) -> pd.DataFrame:
                     "off_track_share": float(own["off_track"].mean()),
                     "saturated_share": float(own["saturated"].mean()),
                     "seeds": len(own),
+                    **study.loop_columns(LOOP_CELLS, place, gain, span="violated"),
                 }
             )
     return pd.DataFrame(rows)
@@ -106,8 +110,9 @@ def cells_table(study: Study) -> pd.DataFrame:
     note="Root mean square position error. `expected_cm`: the stationary second moment of the "
     "linear model at a constant age, in closed form; `linear_cm`: that model simulated; "
     "`robots_cm`: the robots of the gain study, with saturation, turns and slots. "
-    "`estimate_std_cm`: what the filter expects of its estimate's error.",
-    reads=("windows", "schedules"),
+    "`estimate_std_cm`: what the filter expects of its estimate's error. "
+    f"{FORCED_LOOP_NOTE}",
+    reads=("windows", "schedules", "growth"),
     when=has_filtered_cells,
 )
 def filter_table(study: Study) -> pd.DataFrame:
@@ -115,9 +120,7 @@ def filter_table(study: Study) -> pd.DataFrame:
     scenario, robots = study.scenario, study.robots(LOOP_CELLS)
     rows = []
     for name, value in filtered_cells(scenario).items():
-        variant = study.point(LOOP_CELLS, value).scenario
-        lqg = study.schedule(variant).lqg
-        assert lqg is not None  # such is the method
+        variant, lqg = _filter_at(study, LOOP_CELLS, value)
         age = delay_steps(scenario.gain_study.cells[name].delay_s, variant.control.sampling_s)
         places = list(variant.plant.position_states())
         states, _ = simulate_lqg(lqg, np.full(SIMULATED, age))
@@ -139,6 +142,7 @@ def filter_table(study: Study) -> pd.DataFrame:
                 "robots_over_expected": robots_cm / (100.0 * expected_m),
                 "estimate_std_cm": 100.0
                 * math.sqrt(np.diag(lqg.prediction_covariance(age))[places].sum()),
+                **study.loop_columns(LOOP_CELLS, value, "adjusted", span="violated"),
             }
         )
     return pd.DataFrame(rows)
@@ -147,36 +151,35 @@ def filter_table(study: Study) -> pd.DataFrame:
 @table(
     "second_moments",
     title="Growth of the loops' second moments over the delays that the network gave",
-    note="Factor a sample, of the user of each policy for whom `followed` is greatest, over the "
-    "Markov chain of delays measured behind the warm-up, worlds together: below 1 the linear "
-    "loop's second moment shrinks. `in_force`: the scenario's own method as it runs; `followed`: "
-    "its gains, each delay's at once; `nominal`: the nominal gain; `filter`: the method lqg, "
-    "whatever the delays. `beyond_share`: samples beyond the longest delay with a gain, where that "
-    "gain acts on an older measurement still. A dash: delays too long to tell. `grows`: the loop "
-    "in force grows.",
-    reads=("chains", "schedules"),
+    note="Factor a sample, of the user of each policy for whom the loop in force grows most "
+    "without a hold, over the Markov chain of delays measured behind the warm-up, worlds together: "
+    "below 1 the linear loop's second moment shrinks. `in_force`: the scenario's own method as it "
+    "runs; `followed`: its gains, each delay's at once; `nominal`: the nominal gain; `filter`: the "
+    "method lqg, whatever the delays. `beyond_share`: samples beyond the longest delay with a "
+    "gain, where that gain acts on an older measurement still. A dash: delays too long to tell. "
+    "`loop`: what the one in force does.",
+    reads=("chains", "growth", "schedules"),
     when=has_network_loop,
 )
 def moments_table(study: Study) -> pd.DataFrame:
     """Return the growth of the second moment of each loop, under every policy at its worst user."""
-    scenario = study.scenario
-    schedule, chains = study.schedule(scenario), study.measures("chains")
+    scenario, chains, growth = study.scenario, study.measures("chains"), study.measures("growth")
+    chains = chains[chains["experiment"] == "evaluate"]
     filtered = _filter_growth(study)
     rows = []
-    for policy, own in chains.groupby("policy", sort=False):
-        user, growth = worst_growth(scenario, schedule, robot_counts(own))
-        worst = own[own["robot"] == user]
+    for row in growth[growth["experiment"] == "evaluate"].to_dict("records"):
+        worst = chains[(chains["policy"] == row["policy"]) & (chains["robot"] == row["robot"])]
         steps, times = worst["delay_steps"], worst["count"]
         rows.append(
             {
-                "policy": policy,
-                "user": user,
+                "policy": row["policy"],
+                "user": int(row["robot"]),
                 "mean_delay_steps": float((steps * times).sum() / times.sum()),
                 "longest_delay_steps": int(steps.max()),
                 "beyond_share": float(times[steps > scenario.max_delay_steps].sum() / times.sum()),
-                **growth._asdict(),
+                **{name: row[name] for name in LoopGrowth._fields},
                 "filter": filtered,
-                "grows": None if math.isnan(growth.in_force) else growth.in_force >= 1.0,
+                "loop": loop_word(row["in_force"], scenario),
             }
         )
     return pd.DataFrame(rows)
@@ -187,6 +190,12 @@ def _filter_growth(study: Study) -> float:
     scenario = study.scenario
     if "lqg" not in scenario.gain_study.methods or STUDY_PLANTS["lqg"] != scenario.loop_kind:
         return math.nan
-    variant = study.point("gain_study", "lqg").scenario
+    return filter_growth(*_filter_at(study, "gain_study", "lqg"))
+
+
+def _filter_at(study: Study, experiment: str, value: str) -> tuple[Scenario, Lqg]:
+    """Return the scenario and the filter of a point of the gain study whose method is lqg."""
+    variant = study.point(experiment, value).scenario
     lqg = study.schedule(variant).lqg
-    return math.nan if lqg is None else filter_growth(variant, lqg)
+    assert lqg is not None  # such is the method
+    return variant, lqg

@@ -14,7 +14,6 @@ import pandas as pd
 from hiersched.experiments.points import BASELINE
 from hiersched.policies.index_rules import CLASSICAL
 from hiersched.scenario import Scenario
-from hiersched.study.growth import greatest_growths, has_network_loop
 from hiersched.study.metrics import DELAY_QUANTILES, violation_column
 from hiersched.study.registry import (
     axis_of,
@@ -41,7 +40,7 @@ from hiersched.study.statistics import (
     probability_of_improvement,
 )
 from hiersched.study.study import Study
-from hiersched.study.tables.text import LEARNED_NOTE, NONE_NOTE, RATIO_NOTE
+from hiersched.study.tables.text import LEARNED_NOTE, LOOP_NOTE, NONE_NOTE, RATIO_NOTE
 
 BACKLOG = "mean_square_backlog"
 """Time average of half the sum of squared backlogs: the measure by which policies are ranked."""
@@ -50,8 +49,9 @@ LOAD, SCALE = "traffic.load", "radio.fading.scale"
 _LATE = ("urllc_late_share", "embb_late_share")
 _RATES = ("urllc_rate_mbps", "embb_rate_mbps")
 _BACKLOGS = ("urllc_backlog_packets", "embb_backlog_packets")
-_OF_ROBOTS = ("tracking_error_cm", "dexterity_index")
-_FIRST = (*_LATE, *_RATES, *_BACKLOGS, "urllc_delay_p99_s", *_OF_ROBOTS)
+OF_ROBOTS = ("tracking_error_cm", "dexterity_index", "off_track_share")
+"""Measures of what a loop does."""
+_FIRST = (*_LATE, *_RATES, *_BACKLOGS, "urllc_delay_p99_s", *OF_ROBOTS[:2])
 LEADING_MEASURES = (
     *_FIRST,
     *(f"urllc_delay_{name}_s" for name in DELAY_QUANTILES if name != "p99"),
@@ -67,6 +67,8 @@ COMPARED = (
     *("tracking_error_cm", "off_track_share", BACKLOG, "penalty_cost"),
 )
 CELL_MEASURES = ("urllc_late_share", *_RATES, "tracking_error_cm", BACKLOG, "penalty_cost")
+LOOP = ("loop_growth", "loop")
+"""Columns of `Study.loop_columns`."""
 _READ_INTERVALS = tuple(
     f"{name}{end}" for name in (*_FIRST, BACKLOG, "penalty_cost") for end in ("", "_lo", "_hi")
 )
@@ -94,26 +96,22 @@ def _means(runs: pd.DataFrame, names: Iterable[str], scenario: Scenario) -> dict
     "`mean_square_backlog`: time average of ½ΣF² [packets²]. Delays are of delivered packets; "
     "packets that still wait count in the late shares alone. `backlog_over_best`, `improvement`: "
     "mean square backlog over that of the best classical scheduler, and the probability that it "
-    f"is less in another world. `loop_growth`: factor a sample of the second moment of the worst "
-    "user's loop without a hold, see `second_moments`; 1 or more: it grows; a dash: delays too "
-    "long to tell. The CSV has more columns. "
-    f"{LEARNED_NOTE}",
-    reads=("runs", "chains", "schedules"),
+    f"is less in another world. {LOOP_NOTE} The CSV has more columns. {LEARNED_NOTE}",
+    reads=("runs", "growth"),
     columns=(
         *("policy", "seeds", "training_seeds"),
         *_READ_INTERVALS,
         *(f"{name}_median" for name in ("urllc_late_share", "embb_late_share", BACKLOG)),
         "urllc_late_share_smallest",
         *("backlog_over_best", "backlog_over_best_lo", "backlog_over_best_hi"),
-        *("improvement", "improvement_lo", "improvement_hi", "best_classical", "loop_growth"),
+        *("improvement", "improvement_lo", "improvement_hi", "best_classical", *LOOP),
     ),
 )
 def policy_table(study: Study) -> pd.DataFrame:
     """Return `policy_rows` and how the second moment of the worst loop grows under each policy."""
     rows = policy_rows(study)
-    if has_network_loop(study.scenario):
-        rows["loop_growth"] = rows["policy"].map(greatest_growths(study))
-    return rows
+    loops = [study.loop_columns("evaluate", "", policy) for policy in rows["policy"]]
+    return pd.concat([rows, pd.DataFrame(loops)], axis=1)
 
 
 def policy_rows(study: Study) -> pd.DataFrame:
@@ -132,14 +130,16 @@ def policy_rows(study: Study) -> pd.DataFrame:
 @table(
     "sweeps",
     title="Sweeps: one axis varied at a time",
-    note=f"{INTERVAL_NOTE} The CSV has more columns.",
-    reads=("runs",),
+    note=f"{INTERVAL_NOTE} {LOOP_NOTE} The CSV has more columns.",
+    reads=("runs", "growth"),
     when=has_sweeps,
-    columns=("axis", "value", "policy", *_READ_INTERVALS),
+    columns=("axis", "value", "policy", *_READ_INTERVALS, *LOOP),
 )
 def sweep_table(study: Study) -> pd.DataFrame:
     """Return one row an axis, value and policy: all measures over the sweep's worlds."""
-    return along_axes(study, *study.scenario.sweeps.axes)
+    rows = along_axes(study, *study.scenario.sweeps.axes)
+    points = zip(rows["axis"], rows["value"], rows["policy"], strict=True)
+    return pd.concat([rows, pd.DataFrame(study.loop_columns(*point) for point in points)], axis=1)
 
 
 def along_axes(study: Study, *axes: str) -> pd.DataFrame:
@@ -153,18 +153,21 @@ def along_axes(study: Study, *axes: str) -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-@table("runs", title="Every run of a policy", reads=("runs",), columns=())
+@table("runs", title="Every run of a policy", reads=("runs", "growth"), columns=())
 def run_table(study: Study) -> pd.DataFrame:
-    """Return one row a run: numbers to compute with."""
+    """Return one row a run: numbers to compute with, and how loops of its point grow."""
     runs = pd.concat([study.evaluation, study.cells, study.sweeps], ignore_index=True)
+    points = zip(runs["experiment"], runs["value"], runs["policy"], strict=True)
+    runs = pd.concat([runs, pd.DataFrame(study.loop_columns(*point) for point in points)], axis=1)
     return runs.drop(columns=["experiment", "group"])
 
 
 @table(
     "comparison",
     title="Policies against PF, and against the best classical scheduler, in the same worlds",
-    note=f"{RATIO_NOTE} {NONE_NOTE} Differences with Student t 95 % intervals. {LEARNED_NOTE}",
-    reads=("runs",),
+    note=f"{RATIO_NOTE} {NONE_NOTE} Differences with Student t 95 % intervals. {LEARNED_NOTE} "
+    f"Beside measures of robots, of the policy and of the baseline: {LOOP_NOTE}",
+    reads=("runs", "growth"),
 )
 def comparison_table(study: Study) -> pd.DataFrame:
     """Compare every policy with PF, then with the best classical scheduler, in the same worlds.
@@ -181,6 +184,8 @@ def comparison_table(study: Study) -> pd.DataFrame:
         if policy == baseline:
             continue
         own, other = (runs[runs["policy"] == name] for name in (policy, baseline))
+        of_both = {"loop": policy, "baseline_loop": baseline}
+        loops = {n: study.loop_columns("evaluate", "", of)["loop"] for n, of in of_both.items()}
         for name in COMPARED:
             a, b = paired(own, other, name)
             least = resolution(name, pd.concat([own, other]), scenario)
@@ -195,6 +200,7 @@ def comparison_table(study: Study) -> pd.DataFrame:
                     **paired_log_ratio(a, b, resolution=least).columns("ratio"),
                     **paired_difference(a, b).columns("difference"),
                     "seeds_below_baseline": int((a < b).sum()),
+                    **(loops if name in OF_ROBOTS else dict.fromkeys(loops, "")),
                 }
             )
     return pd.DataFrame(rows) if rows else pd.DataFrame(columns=["policy", "baseline", "measure"])
@@ -280,8 +286,8 @@ def score_table(study: Study) -> pd.DataFrame:
     title="Trained policies where they were not trained",
     note=f"{INTERVAL_NOTE} Cells: URLLC users, eMBB users, PRBs. `backlog_over_best`: mean square "
     "backlog over that of the best classical scheduler there, world by world. Sweeps: other "
-    "loads and scales.",
-    reads=("runs",),
+    f"loads and scales. {LOOP_NOTE}",
+    reads=("runs", "growth"),
     when=has_cells,
 )
 def generalisation_table(study: Study) -> pd.DataFrame:
@@ -295,7 +301,7 @@ def generalisation_table(study: Study) -> pd.DataFrame:
             for policy, own in group.groupby("policy", sort=False):
                 row: dict[str, Any] = {"axis": axis, "value": value, "policy": policy}
                 row |= _means(own, CELL_MEASURES, study.scenario_of(own))
-                rows.append({**row, **_against_best(own, group)})
+                rows.append({**row, **_against_best(own, group), **study.loop_of(own)})
     return pd.DataFrame(rows)
 
 
@@ -353,8 +359,9 @@ def differing_keys(scenario: Scenario, learner: str) -> dict[str, Any]:
     title="Learners along the load, against the scenario's own",
     note=f"{INTERVAL_NOTE} `differs`: keys of the section `learning` that are not the scenario's. "
     "Columns `…_minus_own`, `…_over_own`: paired differences from the scenario's own learner, "
-    f"and typical ratios, the k-th training seeds of both in the same world. {NONE_NOTE}",
-    reads=("runs",),
+    f"and typical ratios, the k-th training seeds of both in the same world. {NONE_NOTE} "
+    f"{LOOP_NOTE}",
+    reads=("runs", "growth"),
     when=varies(LOAD, learners_among),
 )
 def learner_table(study: Study) -> pd.DataFrame:
@@ -386,5 +393,5 @@ def learner_table(study: Study) -> pd.DataFrame:
                     least = resolution(measure, runs, at_load)
                     over = paired_log_ratio(*pair, resolution=least)
                     row |= over.columns(f"{measure}_over_own")
-            rows.append(row)
+            rows.append(row | study.loop_of(runs))
     return pd.DataFrame(rows)

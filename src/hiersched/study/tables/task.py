@@ -19,7 +19,7 @@ from hiersched.study.statistics import (
     skewed_interval,
 )
 from hiersched.study.study import Study
-from hiersched.study.tables.text import RATIO_NOTE
+from hiersched.study.tables.text import LOOP_NOTE, RATIO_NOTE
 from hiersched.study.task import (
     P99,
     RMS,
@@ -31,6 +31,7 @@ from hiersched.study.task import (
     kind_of,
     line_of,
     load_of,
+    loop_at,
     mean_of,
     network_share,
     runs_of,
@@ -73,6 +74,9 @@ def in_range(ratio: Interval, expected: tuple[float, float] | None) -> str:
     return "missed" if ratio.hi < least or ratio.lo > greatest else "open"
 
 
+TASK_LOOP_NOTE = f"{LOOP_NOTE} Here the delays are those of the first world."
+
+
 @table(
     "task_gains",
     title="What knowing the task is worth at equal eMBB throughput",
@@ -85,8 +89,8 @@ def in_range(ratio: Interval, expected: tuple[float, float] | None) -> str:
     "penalty with knob 1; `keeps_limit`: in the design worlds. `network_share`: the part of the "
     "mean square error that is over that of robots which know their references. On-time share: of "
     "all URLLC packets offered; a superseded one is neither on time nor late. Above capacity "
-    "queues grow, and errors with the horizon.",
-    reads=("task", "tunings"),
+    f"queues grow, and errors with the horizon. {TASK_LOOP_NOTE}",
+    reads=("task", "tunings", "growth"),
     when=has_task_study,
     columns=(
         *("cell", "policy", "kind", "knob", "tracking_rms_cm", "tracking_p99_cm", "blind"),
@@ -94,7 +98,7 @@ def in_range(ratio: Interval, expected: tuple[float, float] | None) -> str:
         *("p99_over_blind", "p99_over_blind_lo", "p99_over_blind_hi", "classical"),
         *("rms_over_classical", "rms_over_classical_lo", "rms_over_classical_hi"),
         *("expected_rms", "rms_outcome", "expected_p99", "p99_outcome"),
-        *("embb_share", "keeps_limit", "network_share", *SIDE_BY_SIDE),
+        *("embb_share", "keeps_limit", "network_share", *SIDE_BY_SIDE, "loop_growth", "loop"),
     ),
 )
 def task_gains(study: Study) -> pd.DataFrame:
@@ -119,6 +123,7 @@ def task_gains(study: Study) -> pd.DataFrame:
                 "keeps_limit": family.get("keeps_limit", ""),
                 "network_share": network_share(study, cell, policy),
                 **{name: mean_of(runs, name) for name in SIDE_BY_SIDE},
+                **loop_at(study, cell, policy),
             }
             is_first = policy == first_aware(study.scenario, cell)
             is_first = is_first and keeps_limit(study, cell, policy)
@@ -140,8 +145,9 @@ def task_gains(study: Study) -> pd.DataFrame:
     title="Knobs that design worlds have chosen",
     note=f"{KNOBS_NOTE} `embb_share`: throughput over that of drift plus penalty with knob 1, "
     "`least_embb_share` and `most_late` the limits; errors and shares are those of the design "
-    "worlds. `edge`: the best knob lies at that end of what was tried, after widening.",
-    reads=("tunings",),
+    "worlds. `edge`: the best knob lies at that end of what was tried, after widening. With the "
+    f"knob in the held-out worlds: {TASK_LOOP_NOTE}",
+    reads=("tunings", "growth"),
     when=has_task_study,
 )
 def task_knobs(study: Study) -> pd.DataFrame:
@@ -156,6 +162,7 @@ def task_knobs(study: Study) -> pd.DataFrame:
             "tried": len(family["tried"]),
             "least_embb_share": tuning["limits"]["embb_share"],
             "most_late": _number(tuning["limits"]["embb_late_share"]),
+            **loop_at(study, cell, name),
         }
         for cell, tuning in study.tunings.items()
         for name, family in tuning["families"].items()
@@ -167,8 +174,8 @@ def task_knobs(study: Study) -> pd.DataFrame:
     title="eMBB throughput against tracking error over the knobs",
     note="Held-out worlds: each family over a grid of its knob, at its tuned one (`tuned`), and "
     "what has no knob. `embb_share` as in `task_gains`. Errors are means, in brackets the 95 % "
-    "interval of a lognormal mean.",
-    reads=("task", "tunings"),
+    f"interval of a lognormal mean. {TASK_LOOP_NOTE}",
+    reads=("task", "tunings", "growth"),
     when=has_pareto,
 )
 def task_pareto(study: Study) -> pd.DataFrame:
@@ -194,6 +201,7 @@ def task_pareto(study: Study) -> pd.DataFrame:
                         "embb_late_share": mean_of(runs, "embb_late_share"),
                         **_error(runs).columns(RMS),
                         P99: mean_of(runs, P99),
+                        **loop_at(study, cell, policy, point.value),
                     }
                 )
     return pd.DataFrame(rows)
@@ -209,8 +217,8 @@ def task_pareto(study: Study) -> pd.DataFrame:
     "at the load `trained_load`, in every cell; it has no knob and no limit there, so that its "
     "eMBB throughput and lateness stand beside those of `aware`; `keeps_limits`: whether its means "
     f"over the held-out worlds keep the limits of the cell. {RATIO_NOTE} `rms_seeds_std_cm`: "
-    "standard deviation of the training seeds' mean errors.",
-    reads=("task", "tunings"),
+    f"standard deviation of the training seeds' mean errors. {TASK_LOOP_NOTE}",
+    reads=("task", "tunings", "growth"),
     when=has_task_learners,
     columns=(
         *("cell", "policy", "sees_task", "trained_load", "training_seeds", "tracking_rms_cm"),
@@ -219,6 +227,7 @@ def task_pareto(study: Study) -> pd.DataFrame:
         *("rms_over_twin", "rms_over_twin_lo", "rms_over_twin_hi", "blind", "rms_over_blind"),
         *("rms_over_blind_lo", "rms_over_blind_hi", "embb_share", "embb_share_aware"),
         *("embb_late_share", "embb_late_share_aware", "keeps_limits", "urllc_late_share"),
+        *("loop_growth", "loop"),
     ),
 )
 def task_learners(study: Study) -> pd.DataFrame:
@@ -248,6 +257,7 @@ def task_learners(study: Study) -> pd.DataFrame:
                 ),
                 "keeps_limits": _held_out_limits(study, cell, policy),
                 **{name: mean_of(runs, name) for name in ("embb_late_share", "urllc_late_share")},
+                **loop_at(study, cell, policy),
             }
             if by_seed.ndim == 2 and len(by_seed) > 1:
                 row["rms_seeds_std_cm"] = float(by_seed.mean(1).std(ddof=1))
@@ -262,8 +272,8 @@ def task_learners(study: Study) -> pd.DataFrame:
     title="What superseding alone is worth",
     note="The best family that knows nothing of the task where new set-points replace those that "
     "wait, against the best such family where they do not, each at its own tuned knob under the "
-    f"same limits in the same worlds. {RATIO_NOTE}",
-    reads=("task", "tunings"),
+    f"same limits in the same worlds. {RATIO_NOTE} {TASK_LOOP_NOTE}",
+    reads=("task", "tunings", "growth"),
     when=lambda scenario: bool(_superseding_pairs(scenario)),
 )
 def task_superseding(study: Study) -> pd.DataFrame:
@@ -279,7 +289,9 @@ def task_superseding(study: Study) -> pd.DataFrame:
         for short, measure in RATIOS.items():
             row |= paired_log_ratio(*paired(a, b, measure)).columns(f"{short}_ratio")
         shares = ("urllc_on_time_share", "superseded_share", "embb_late_share")
-        rows.append({**row, RMS: mean_of(a, RMS), **{name: mean_of(a, name) for name in shares}})
+        row |= {RMS: mean_of(a, RMS), **{name: mean_of(a, name) for name in shares}}
+        row |= loop_at(study, cell, own)
+        rows.append({**row, "loop_without": loop_at(study, other, without)["loop"]})
     return pd.DataFrame(rows)
 
 

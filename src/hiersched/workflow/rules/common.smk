@@ -14,7 +14,7 @@ from hiersched.experiments.points import TASK, cell_of, experiments, groups, tra
 from hiersched.experiments.turns import begin_run
 from hiersched.scenario import ScenarioError, parameter_notes
 from hiersched.study.built_in import shown
-from hiersched.study.measure import measured_files, measured_groups, table_file
+from hiersched.study.measure import chain_files, measured_files, measured_groups, table_file
 from hiersched.study.registry import CLAIMS, FIGURES, TABLES
 from hiersched.study.study import Study
 

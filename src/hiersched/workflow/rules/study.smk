@@ -49,6 +49,28 @@ for s in SCENARIOS:
             shell:
                 "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"
 
+    rule:
+        name:
+            f"growth_{s.name}"
+        input:
+            chains=inside(s, chain_files(s)),
+            gains=gain_files(s, designs(s)),
+        output:
+            whole(s, [files.GROWTH]),
+        log:
+            f"{folder(s)}/logs/growth.log",
+        benchmark:
+            f"{folder(s)}/benchmarks/growth.tsv"
+        priority: 10  # most tables wait for it
+        threads: 1
+        params:
+            spec=spec("growth", dependencies.growth_values(s)),
+            args=arguments("growth", s),
+        message:
+            f"Following the loops of {s.name} over their delays"
+        shell:
+            "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"
+
     for kind, things in {"table": TABLES, "figure": FIGURES}.items():
         for thing in shown(things, s).values():
             first, *others = shown_names(kind, thing)
