@@ -87,7 +87,7 @@ oldest:  ## the kernels' tests on the oldest Numba that pyproject.toml allows (a
 	.venv-oldest/bin/python -m pip install --quiet $(PIP_ARGS) "numba==$(OLDEST_NUMBA)" "numpy<2.2" -e '.[control]' mcap-protobuf-support pytest hypothesis
 	.venv-oldest/bin/python -m pytest -q tests/core tests/simulator
 
-bench: $(STAMP)  ## speed of the slot loop, the log, the gain design and the learners
+bench: $(STAMP)  ## speed of the slot loop, the environments, the log, the gain design and the learners
 	$(RUN) python benchmarks/run.py
 
 bench-short: $(STAMP)  ## the same way with less work, in half a minute: does it still run?
