@@ -170,15 +170,15 @@ class SlotLoop:
             self._pictures.clear()
         return self.features()
 
-    def render(self, env: int) -> NDArray[np.uint8] | None:
-        """Draw the last slots of one world, shape (height, width, 3).
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """Draw the last slots of every world, shape (height, width, 3) each.
 
         None and Gymnasium's warning without a render mode.
         """
         if self._pictures is None:
             logger.warn(f"render: no render_mode was given; must be {', '.join(RENDER_MODES)}")
             return None
-        return self._pictures.draw(env)
+        return tuple(self._pictures.draw(env) for env in range(self.simulator.num_envs))
 
     def features(self) -> NDArray[np.float32]:
         """Features at the start of the coming slot, shape (E, U, F)."""

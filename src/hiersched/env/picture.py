@@ -105,7 +105,7 @@ class Pictures:
             canvas.write(
                 (_LEFT, 36),
                 f"{late} of {due} URLLC packets late in this episode; "
-                f"reward of the slot: URLLC {_signed(urllc)}, eMBB {_signed(embb)}",
+                f"reward of the slot: URLLC {urllc:.3f}, eMBB {embb:.3f}",
             )
 
     def _draw_allocation(self, canvas: _Canvas, owners: NDArray[np.int64]) -> None:
@@ -146,7 +146,8 @@ class _Canvas:
     ) -> None:
         """Write one line; `anchor` as Pillow has it."""
         font = ImageFont.load_default(size * _SCALE)
-        self._draw.text(_scaled(place), text, fill=_INK, font=font, anchor=anchor)
+        x, y = place
+        self._draw.text((_SCALE * x, _SCALE * y), text, fill=_INK, font=font, anchor=anchor)
 
     def fill(self, box: tuple[float, float, float, float], colour: NDArray[np.uint8]) -> None:
         """Fill a field: left, top, right, bottom."""
@@ -225,7 +226,3 @@ def _axis(top: float) -> tuple[float, float]:
     power = 10.0 ** math.floor(math.log10(rough))
     step = next(power * digit for digit in (1.0, 2.0, 5.0, 10.0) if power * digit >= rough)
     return step, step * math.ceil(top / step - 1e-9)
-
-
-def _signed(value: float) -> str:
-    return f"{value:.3f}".replace("-", "−")

@@ -27,6 +27,8 @@ class SlicingVecEnv(VecEnv):
     ``seed(s)`` the next reset begins with the first E worlds of seed s.
     """
 
+    _actions: NDArray[np.floating]
+
     def __init__(
         self,
         scenario: Scenario | str | Path,
@@ -39,7 +41,6 @@ class SlicingVecEnv(VecEnv):
         self._batch = SlicingVectorEnv(
             scenario, gains, num_envs, num_slots=num_slots, render_mode=render_mode
         )
-        self._actions: NDArray[np.floating] | None = None
         spaces = self._batch.single_observation_space, self._batch.single_action_space
         super().__init__(num_envs, *spaces)
         self.metadata = self._batch.metadata

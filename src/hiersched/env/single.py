@@ -64,4 +64,5 @@ class SlicingEnv(EzPickle, gymnasium.Env):
     def render(self) -> NDArray[np.uint8] | None:
         """Draw the last slots, shape (height, width, 3)."""
         self._worlds.require_episode("render")
-        return self._loop.render(0)
+        frames = self._loop.render()
+        return None if frames is None else frames[0]

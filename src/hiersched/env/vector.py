@@ -149,9 +149,7 @@ class SlicingVectorEnv(EzPickle, VectorEnv):
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Draw the last slots of every world, shape (height, width, 3) each."""
         self._worlds.require_episode("render")
-        if self.render_mode is None:
-            return self._loop.render(0)
-        return tuple(self._loop.render(env) for env in range(self.num_envs))
+        return self._loop.render()
 
 
 def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
