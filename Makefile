@@ -63,8 +63,10 @@ gains: $(STAMP)  ## design the gains that the package ships anew
 test: $(STAMP)  ## the tests, in about two minutes
 	$(RUN) python -m pytest -n $(CORES) --dist loadgroup
 
-nightly: $(STAMP)  ## the tests that take longer: fuzzing, kills, tutorials, whole studies
+nightly: $(STAMP)  ## the tests that take longer: fuzzing, kills, tutorials, others' wrappers, whole studies
+	"$(VENV)/bin/python" -m pip install --quiet $(PIP_ARGS) -c constraints.txt -e '.[dev,wrappers]'
 	$(RUN) python -m pytest -n $(CORES) --dist loadgroup -m nightly
+	$(RUN) python -m pytest -n $(CORES) --dist loadgroup tests/env
 
 mutants: $(STAMP)  ## 60 mutants and the tests that kill them, in an hour or two (results/mutants.tsv)
 	"$(VENV)/bin/python" -m pip install --quiet $(PIP_ARGS) -c constraints.txt -e '.[dev,mutants]'

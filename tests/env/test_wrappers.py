@@ -141,7 +141,7 @@ def test_supersuit_wraps_one_world_and_both_agents(make, scenario, gains, name):
         (observation, *_), *_ = steps(env, 1)
         assert observation.shape == shape((5, 8))
         both = wrap(SlicingParallelEnv(scenario, gains, num_slots=3))
-        both.reset(seed=1)
+        both.reset()
         observations, _, _, truncated, _ = both.step(
             {agent: np.zeros(both.action_space(agent).shape, np.float32) for agent in both.agents}
         )
