@@ -63,8 +63,10 @@ gains: $(STAMP)  ## design the gains that the package ships anew
 test: $(STAMP)  ## the tests, in about two minutes
 	$(RUN) python -m pytest -n $(CORES) --dist loadgroup
 
-nightly: $(STAMP)  ## the tests that take longer: fuzzing, kills, tutorials, whole studies
+nightly: $(STAMP)  ## the tests that take longer: fuzzing, kills, tutorials, others' wrappers, whole studies
+	"$(VENV)/bin/python" -m pip install --quiet $(PIP_ARGS) -c constraints.txt -e '.[dev,wrappers]'
 	$(RUN) python -m pytest -n $(CORES) --dist loadgroup -m nightly
+	$(RUN) python -m pytest -n $(CORES) --dist loadgroup tests/env
 
 mutants: $(STAMP)  ## 60 mutants and the tests that kill them, in an hour or two (results/mutants.tsv)
 	"$(VENV)/bin/python" -m pip install --quiet $(PIP_ARGS) -c constraints.txt -e '.[dev,mutants]'
@@ -87,7 +89,7 @@ oldest:  ## the kernels' tests on the oldest Numba that pyproject.toml allows (a
 	.venv-oldest/bin/python -m pip install --quiet $(PIP_ARGS) "numba==$(OLDEST_NUMBA)" "numpy<2.2" -e '.[control]' mcap-protobuf-support pytest hypothesis
 	.venv-oldest/bin/python -m pytest -q tests/core tests/simulator
 
-bench: $(STAMP)  ## speed of the slot loop, the log, the gain design and the learners
+bench: $(STAMP)  ## speed of the slot loop, the environments, the log, the gain design and the learners
 	$(RUN) python benchmarks/run.py
 
 bench-short: $(STAMP)  ## the same way with less work, in half a minute: does it still run?

@@ -13,6 +13,7 @@ import platform
 import common  # first: it sets the number of threads before NumPy loads
 
 # isort: split
+import bench_env
 import bench_gains
 import bench_learning
 import bench_log
@@ -20,7 +21,7 @@ import bench_slots
 import numba
 import numpy as np
 
-BENCHES = (bench_slots, bench_log, bench_gains, bench_learning)
+BENCHES = (bench_slots, bench_env, bench_log, bench_gains, bench_learning)
 
 
 def run(short: bool) -> list[common.Figure]:

@@ -413,6 +413,8 @@ WHERE = {
         "hiersched.allocation.objective:delay_surrogate",
     ),
     "what an agent sees": ("hiersched.policies.features",),
+    "an environment: one world, a batch": ("hiersched.env.single", "hiersched.env.vector"),
+    "the picture of an environment": ("hiersched.env.picture:Pictures",),
     "rewards of the agents": ("hiersched.learning.rewards",),
     "C1, C2, C3: is a gain safe up to a delay?": (
         "hiersched.control:analyse_razumikhin",
@@ -460,6 +462,7 @@ WHERE = {
     ),
     "intervals of means and ratios": ("hiersched.study.samples", "hiersched.study.lognormal"),
     "a table, figure or claim": ("hiersched.study.registry:Shown",),
+    "the colour of a user": ("hiersched.core.colours:user_colours",),
     "the colour of a policy": (
         "hiersched.policies.registry:Look",
         "hiersched.study.figures.style:policy_look",

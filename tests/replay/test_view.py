@@ -17,6 +17,7 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from hiersched.cli import main
+from hiersched.core.colours import user_colours
 from hiersched.log import TOPICS, LogDims, LogReader
 from hiersched.log.schema import topics_in
 from hiersched.replay.view import PLOTS, foxglove_layout, series_names, show_in_rerun
@@ -24,7 +25,6 @@ from hiersched.replay.viewer_topics import (
     IMAGE_SLOTS,
     IMAGE_TOPIC,
     robot_poses,
-    user_colours,
     write_viewer_topics,
 )
 

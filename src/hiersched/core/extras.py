@@ -17,6 +17,8 @@ EXTRA_OF = {
     "snakemake": "study",
     "tabulate": "study",
     "rerun": "viewer",
+    "PIL": "render",
+    "stable_baselines3": "sb3",
 }
 """Package that is imported -> the extra that brings it."""
 

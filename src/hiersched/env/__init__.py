@@ -1,7 +1,8 @@
 """The simulator as reinforcement-learning environments: adapters without physics.
 
-`SlicingVectorEnv` (Gymnasium, a native batch), `SlicingEnv` (Gymnasium, one world) and
-`SlicingParallelEnv` (PettingZoo) load their libraries when they are first asked for.
+`SlicingVectorEnv` (Gymnasium, a native batch), `SlicingEnv` (Gymnasium, one world),
+`SlicingVecEnv` (stable-baselines3) and `SlicingParallelEnv` (PettingZoo) load their libraries when
+they are first asked for.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from hiersched.policies.features import FEATURE_VERSION, FEATURES
 
 if TYPE_CHECKING:
     from hiersched.env.parallel import SlicingParallelEnv
+    from hiersched.env.sb3 import SlicingVecEnv
     from hiersched.env.single import SlicingEnv
     from hiersched.env.vector import SlicingVectorEnv
 
@@ -23,13 +25,19 @@ __all__ = [
     "FEATURE_VERSION",
     "SlicingEnv",
     "SlicingParallelEnv",
+    "SlicingVecEnv",
     "SlicingVectorEnv",
     "SlotLoop",
     "action_weights",
     "agent_views",
 ]
 
-_LAZY = {"SlicingEnv": "single", "SlicingParallelEnv": "parallel", "SlicingVectorEnv": "vector"}
+_LAZY = {
+    "SlicingEnv": "single",
+    "SlicingParallelEnv": "parallel",
+    "SlicingVecEnv": "sb3",
+    "SlicingVectorEnv": "vector",
+}
 
 
 def __getattr__(name: str) -> Any:

@@ -2,19 +2,34 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import TYPE_CHECKING
+
 import numpy as np
+from gymnasium import logger
 from gymnasium.error import ResetNeeded
 from numpy.typing import NDArray
 
+from hiersched.core.extras import naming_extras
 from hiersched.core.randomness import world_key
 from hiersched.policies.features import LEAST_PACKETS, SPEED_FLOOR_M2PS2
 from hiersched.policies.policy import Weigher
+from hiersched.scenario import load_scenario
 from hiersched.scenario.schema import Learning, Scenario
 from hiersched.simulator import Gains, Simulator, SlotRecord
 from hiersched.simulator.gain_source import scenario_gains
 
+if TYPE_CHECKING:
+    from hiersched.env.picture import Pictures
+
+RENDER_MODES = ("rgb_array",)
 _CONTROL_COST_S2PM2 = 16.0
 """Of the control drift: 0.8 times the packets' drift for a robot that stands, 16.8 at 1 m/s."""
+
+
+def as_scenario(scenario: Scenario | str | Path) -> Scenario:
+    """Return a scenario as it is, or load it by the name of a shipped one or by its path."""
+    return scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
 
 
 def action_weights(actions: NDArray[np.floating], weight_exponent: float) -> NDArray[np.float64]:
@@ -87,10 +102,10 @@ class EpisodeWorlds:
         self._next += self._count
         return keys
 
-    def require_episode(self) -> None:
-        """Raise ResetNeeded if no episode has begun."""
+    def require_episode(self, call: str) -> None:
+        """Raise ResetNeeded, which names the `call`, if no episode has begun."""
         if self._next == 0:
-            raise ResetNeeded("step: the first episode has not begun: call reset first")
+            raise ResetNeeded(f"{call}: the first episode has not begun: call reset first")
 
 
 class SlotLoop:
@@ -109,6 +124,8 @@ class SlotLoop:
         Worlds of the first episode, shape (E,).
     num_slots
         Slots of an episode; those of the scenario's training unless given.
+    render_mode
+        ``rgb_array`` keeps the last slots for `render`, which needs the extra `render`.
 
     Attributes
     ----------
@@ -128,6 +145,7 @@ class SlotLoop:
         gains: Gains | None,
         keys: NDArray[np.uint64],
         num_slots: int | None = None,
+        render_mode: str | None = None,
     ) -> None:
         gains = scenario_gains(scenario) if gains is None else gains
         num_slots = scenario.learning.slots_per_episode if num_slots is None else num_slots
@@ -138,6 +156,7 @@ class SlotLoop:
         self.multipliers = np.zeros((len(keys), scenario.users.num_urllc))
         self.task_costs = np.zeros_like(self.multipliers)
         self._learning = scenario.learning
+        self._pictures = None if render_mode is None else _pictures(self.simulator, render_mode)
 
     @property
     def finished(self) -> bool:
@@ -147,7 +166,19 @@ class SlotLoop:
     def reset(self, keys: NDArray[np.uint64]) -> NDArray[np.float32]:
         """Start an episode in the worlds `keys`, shape (E,); returns features (E, U, F)."""
         self.simulator.reset(keys)
+        if self._pictures is not None:
+            self._pictures.clear()
         return self.features()
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """Draw the last slots of every world, shape (height, width, 3) each.
+
+        None and Gymnasium's warning without a render mode.
+        """
+        if self._pictures is None:
+            logger.warn(f"render: no render_mode was given; must be {', '.join(RENDER_MODES)}")
+            return None
+        return tuple(self._pictures.draw(env) for env in range(self.simulator.num_envs))
 
     def features(self) -> NDArray[np.float32]:
         """Features at the start of the coming slot, shape (E, U, F)."""
@@ -201,4 +232,16 @@ class SlotLoop:
             after = self.simulator.state.backlog_packets[urllc]
             drift = 0.5 * (after**2 - self.record.backlog_packets[:, 0][urllc] ** 2)
             self.task_costs += (control - 1.0) * drift / learning.reward_scale
+        if self._pictures is not None:
+            self._pictures.add(self.record, self.task_costs)
         return self.features()
+
+
+def _pictures(simulator: Simulator, render_mode: str) -> Pictures:
+    if render_mode not in RENDER_MODES:
+        raise ValueError(
+            f"render_mode = {render_mode!r}: must be {', '.join(RENDER_MODES)} or None"
+        )
+    with naming_extras():
+        from hiersched.env.picture import Pictures
+    return Pictures(simulator.scenario, simulator.num_envs, simulator.num_slots)

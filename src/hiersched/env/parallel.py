@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.utils import EzPickle, seeding
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
-from hiersched.env.core import EpisodeWorlds, SlotLoop, agent_views
-from hiersched.env.vector import slot_info
+from hiersched.env.core import RENDER_MODES, EpisodeWorlds, SlotLoop, agent_views, as_scenario
+from hiersched.env.vector import real_time, slot_info
 from hiersched.policies.features import num_features
 from hiersched.scenario.schema import Scenario
 from hiersched.simulator import Gains
@@ -18,24 +20,34 @@ from hiersched.simulator import Gains
 AGENTS = ("urllc", "embb")
 
 
-class SlicingParallelEnv(ParallelEnv):
+class SlicingParallelEnv(EzPickle, ParallelEnv):
     """Two agents, `urllc` and `embb`; each gives every user of its slice one number in [-1, 1].
 
     Observation of an agent (n, 3 F): its users' features, the slice's mean and the other slice's
     mean. Reward: that of the own slice, or the mean of both where the scenario says `reward:
-    cooperative`. The parameters are those of `SlotLoop`.
+    cooperative`. The parameters are those of `SlicingEnv`.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (as the base class has it)
         "name": "hiersched_v0",
-        "render_modes": [],
+        "render_modes": list(RENDER_MODES),
+        "render_fps": 100,
     }
 
     def __init__(
-        self, scenario: Scenario, gains: Gains | None = None, *, num_slots: int | None = None
+        self,
+        scenario: Scenario | str | Path,
+        gains: Gains | None = None,
+        *,
+        num_slots: int | None = None,
+        render_mode: str | None = None,
     ) -> None:
+        EzPickle.__init__(self, scenario, gains, num_slots=num_slots, render_mode=render_mode)
+        scenario = as_scenario(scenario)
+        self.render_mode, self.metadata = render_mode, real_time(self.metadata, scenario)
         self.possible_agents = list(AGENTS)
         self.agents: list[str] = []
+        self.np_random, _ = seeding.np_random()  # wrappers draw from it, the worlds do not
         self._num_urllc = scenario.users.num_urllc
         self._cooperative = scenario.learning.reward == "cooperative"
         counts = {"urllc": scenario.users.num_urllc, "embb": scenario.users.num_embb}
@@ -49,7 +61,7 @@ class SlicingParallelEnv(ParallelEnv):
             agent: spaces.Box(-1.0, 1.0, (count,), np.float32) for agent, count in counts.items()
         }
         self._worlds = EpisodeWorlds(1)
-        self._loop = SlotLoop(scenario, gains, self._worlds.coming(), num_slots)
+        self._loop = SlotLoop(scenario, gains, self._worlds.coming(), num_slots, render_mode)
 
     def observation_space(self, agent: str) -> spaces.Box:
         """Return the observation space of an agent, always the same object."""
@@ -66,6 +78,8 @@ class SlicingParallelEnv(ParallelEnv):
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, NDArray[np.float32]], dict[str, dict[str, Any]]]:
         """Start an episode in a new world; with a seed, in the first world of that seed."""
+        if seed is not None:
+            self.np_random, _ = seeding.np_random(seed)
         features = self._loop.reset(self._worlds.take(seed))
         self.agents = list(AGENTS)
         return self._views(features), {agent: {} for agent in AGENTS}
@@ -80,7 +94,7 @@ class SlicingParallelEnv(ParallelEnv):
         dict[str, dict[str, Any]],
     ]:
         """Run one slot under both agents' actions; errors are those of `SlotLoop.step`."""
-        self._worlds.require_episode()
+        self._worlds.require_episode("step")
         if set(actions) != set(AGENTS):
             raise ValueError(f"actions of {', '.join(actions)}: must be of {', '.join(AGENTS)}")
         for agent, space in self._action_spaces.items():
@@ -102,3 +116,9 @@ class SlicingParallelEnv(ParallelEnv):
             dict.fromkeys(AGENTS, finished),
             {agent: dict(info) for agent in AGENTS},
         )
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Draw the last slots, shape (height, width, 3)."""
+        self._worlds.require_episode("render")
+        frames = self._loop.render()
+        return None if frames is None else frames[0]

@@ -9,13 +9,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hiersched.core.colours import user_colours
 from hiersched.log import LogDims, LogReader
 from hiersched.log.schema import TOPICS
 from hiersched.replay.viewer_topics import (
     FRAME,
     IMAGE_TOPIC,
     pose_topics,
-    user_colours,
     write_viewer_topics,
 )
 
