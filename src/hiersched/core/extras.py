@@ -17,6 +17,8 @@ EXTRA_OF = {
     "snakemake": "study",
     "tabulate": "study",
     "rerun": "viewer",
+    "stable_baselines3": "sb3",
+    "onnxruntime": "onnx",
 }
 """Package that is imported -> the extra that brings it."""
 

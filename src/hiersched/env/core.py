@@ -8,19 +8,13 @@ from numpy.typing import NDArray
 
 from hiersched.core.randomness import world_key
 from hiersched.policies.features import LEAST_PACKETS, SPEED_FLOOR_M2PS2
-from hiersched.policies.policy import Weigher
+from hiersched.policies.policy import Weigher, action_weights
 from hiersched.scenario.schema import Learning, Scenario
 from hiersched.simulator import Gains, Simulator, SlotRecord
 from hiersched.simulator.gain_source import scenario_gains
 
 _CONTROL_COST_S2PM2 = 16.0
 """Of the control drift: 0.8 times the packets' drift for a robot that stands, 16.8 at 1 m/s."""
-
-
-def action_weights(actions: NDArray[np.floating], weight_exponent: float) -> NDArray[np.float64]:
-    """Turn actions a into weights w = exp(c a), any shape; float32 values, as the log has them."""
-    exponent = np.float64(weight_exponent) * actions
-    return np.exp(exponent).astype(np.float32).astype(np.float64)
 
 
 def task_costs(record: SlotRecord, learning: Learning) -> NDArray[np.float64]:
