@@ -19,6 +19,7 @@ from hiersched.models.plant.operator import TABLE_WIDTH
 from hiersched.models.plant.reference import tasks_of
 from hiersched.policies.features import num_features
 from hiersched.policies.files import FilePolicy, PolicyFileError
+from hiersched.policies.find import file_spaces
 from hiersched.scenario import Scenario, ScenarioError, find_scenario, load_scenario
 from hiersched.scenario.schema import Learning
 from hiersched.simulator.loop_gains import plant_of
@@ -93,7 +94,7 @@ def file_faults(scenario: Scenario) -> list[str]:
                 raise MissingExtraError(entry.package)
             where = f"{experiment.name} {point.value}".rstrip()
             try:
-                found = entry.shape_faults(point.scenario)
+                found = entry.shape_faults(file_spaces(entry), point.scenario)
             except PolicyFileError as error:
                 found = [str(error)]
             for fault in found:

@@ -103,16 +103,8 @@ class FilePolicy:
                 )
         return faults
 
-    def spaces(self) -> Spaces:
-        """Read what the file says of its spaces, without running anything that it holds."""
-        raise NotImplementedError
-
-    def agent(self, scenario: Scenario) -> FileAgent:
-        """Load the policy for a scenario; code in the file runs."""
-        raise NotImplementedError
-
-    def shape_faults(self, scenario: Scenario) -> list[str]:
-        """Say where the policy's spaces are not those of the scenario's environment."""
+    def shape_faults(self, spaces: Spaces, scenario: Scenario) -> list[str]:
+        """Say where the spaces of its file are not those of the scenario's environment."""
         users = scenario.num_users
         features = num_features(self.observe_robots, self.observe_demand)
         wanted = ((users, features), (users * features,)), ((users,),)
@@ -120,7 +112,7 @@ class FilePolicy:
         return [
             f"{key} = {getattr(self, key)!r}: {kind} of shape {_shape_text(shape)}: must be "
             f"{' or '.join(map(_shape_text, allowed))} ({users} users, {features} features of each)"
-            for kind, shape, allowed in zip(Spaces._fields, self.spaces(), wanted, strict=True)
+            for kind, shape, allowed in zip(Spaces._fields, spaces, wanted, strict=True)
             if not any(_fits(shape, one) for one in allowed)
         ]
 
@@ -140,18 +132,6 @@ class Sb3Policy(FilePolicy):
     sb3_sha256: Sha256
     vec_normalize_sha256: Sha256 | None = None
 
-    def spaces(self) -> Spaces:
-        """As in `FilePolicy`."""
-        from hiersched.policies.sb3 import read_spaces
-
-        return read_spaces(self)
-
-    def agent(self, scenario: Scenario) -> FileAgent:
-        """As in `FilePolicy`."""
-        from hiersched.policies.sb3 import Sb3Agent
-
-        return Sb3Agent(self, scenario)
-
 
 @dataclass(frozen=True, kw_only=True)
 class OnnxPolicy(FilePolicy):
@@ -161,18 +141,6 @@ class OnnxPolicy(FilePolicy):
     package = "onnxruntime"
     onnx: str
     onnx_sha256: Sha256
-
-    def spaces(self) -> Spaces:
-        """As in `FilePolicy`."""
-        from hiersched.policies.onnx import open_graph
-
-        return open_graph(self).spaces
-
-    def agent(self, scenario: Scenario) -> FileAgent:
-        """As in `FilePolicy`."""
-        from hiersched.policies.onnx import OnnxAgent
-
-        return OnnxAgent(self, scenario)
 
 
 FILE_POLICIES: dict[str, type[FilePolicy]] = {"sb3": Sb3Policy, "onnx": OnnxPolicy}
@@ -185,8 +153,8 @@ class FileAgent(Agent):
     PolicyFileError if the file's spaces are not those of the scenario.
     """
 
-    def __init__(self, entry: FilePolicy, scenario: Scenario) -> None:
-        if faults := entry.shape_faults(scenario):
+    def __init__(self, entry: FilePolicy, spaces: Spaces, scenario: Scenario) -> None:
+        if faults := entry.shape_faults(spaces, scenario):
             raise PolicyFileError("; ".join(faults))
         key = entry.file_keys[0]
         self.name = f"{key} = {getattr(entry, key)!r}"
@@ -194,7 +162,7 @@ class FileAgent(Agent):
         self.weight_exponent = entry.weight_exponent
         self.observe_robots, self.observe_demand = entry.observe_robots, entry.observe_demand
         self.rows = ROWS
-        self._is_flat = len(entry.spaces().observation) == 1
+        self._is_flat = len(spaces.observation) == 1
 
     def predict(self, observations: NDArray[np.float32]) -> NDArray[np.floating]:
         """Return actions (rows, U) of observations (rows, …), as the policy's spaces have them."""

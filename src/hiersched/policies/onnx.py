@@ -75,8 +75,8 @@ class OnnxAgent(FileAgent):
     """A graph that decides in worlds of one scenario."""
 
     def __init__(self, entry: OnnxPolicy, scenario: Scenario) -> None:
-        super().__init__(entry, scenario)
         self._graph = open_graph(entry)
+        super().__init__(entry, self._graph.spaces, scenario)
         if self._graph.rows is not None:
             self.rows = self._graph.rows
 

@@ -61,7 +61,8 @@ class Sb3Agent(FileAgent):
     """A saved model that decides, without noise, in worlds of one scenario."""
 
     def __init__(self, entry: Sb3Policy, scenario: Scenario) -> None:
-        super().__init__(entry, scenario)
+        self._spaces = read_spaces(entry)
+        super().__init__(entry, self._spaces, scenario)
         with naming_extras():
             import stable_baselines3
         kind = getattr(stable_baselines3, entry.algorithm.upper())
@@ -93,7 +94,7 @@ class Sb3Agent(FileAgent):
             ) from error
         if not isinstance(found, VecNormalize):
             raise PolicyFileError(f"{where}: a {type(found).__name__}: must be a VecNormalize")
-        shape, wanted = found.observation_space.shape, entry.spaces().observation
+        shape, wanted = found.observation_space.shape, self._spaces.observation
         if shape != wanted:
             raise PolicyFileError(
                 f"{where}: of observations of shape {shape}: must be {wanted}, as the model's"
