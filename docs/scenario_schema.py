@@ -15,6 +15,7 @@ from pydantic import TypeAdapter
 
 from hiersched.core.registry import BUILT_IN_ALGORITHMS
 from hiersched.models.model import SECTIONS, Section
+from hiersched.policies.files import FILE_POLICIES
 from hiersched.policies.find import ImportedPolicy
 from hiersched.policies.index_rules import CLASSICAL
 from hiersched.policies.registry import RULES
@@ -193,8 +194,12 @@ def _policy() -> Json:
     imported["properties"]["rule"]["enum"] = list(CLASSICAL)
     policy = _any_model(RULES)
     *rules, unnamed, other = policy["oneOf"]
-    unnamed["not"] = {"anyOf": [{"required": ["model"]}, {"required": ["import"]}]}
-    return {**policy, "oneOf": [*rules, {**imported, "required": ["import"]}, unnamed, other]}
+    others = [{**imported, "required": ["import"]}]
+    for key, kind in FILE_POLICIES.items():
+        others.append({**_plain(TypeAdapter(kind).json_schema()), "required": [key]})
+    named = ("model", "import", *FILE_POLICIES)
+    unnamed["not"] = {"anyOf": [{"required": [key]} for key in named]}
+    return {**policy, "oneOf": [*rules, *others, unnamed, other]}
 
 
 def _axes(schema: Json) -> Json:
@@ -221,7 +226,8 @@ def _ours() -> Json:
         holder = ours.setdefault(parent, {"properties": {}})["properties"] if parent else ours
         holder[name] = _our_model(section)
     named = {"required": ["model"], "properties": {"model": {"enum": list(RULES)}}}
-    ours["policies"] = {"additionalProperties": {"anyOf": [{"required": ["import"]}, named]}}
+    others = [{"required": [key]} for key in ("import", *FILE_POLICIES)]
+    ours["policies"] = {"additionalProperties": {"anyOf": [*others, named]}}
     learning = {"properties": {"algorithm": {"enum": list(BUILT_IN_ALGORITHMS)}}}
     ours["learning"], ours["learners"] = learning, {"additionalProperties": learning}
     keys = [note.key for note in parameter_notes() if not note.key.startswith("sweeps.")]

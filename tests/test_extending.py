@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 import pytest
 import yaml
 from numba.core.caching import _CacheLocator
@@ -157,10 +158,10 @@ def test_a_page_runs_from_top_to_bottom(page, project_root, folder):
 
 def test_every_page_is_run(project_root):
     written = {path.stem for path in (project_root / "docs/extending").glob("*.md")}
-    assert written == {"README", "shown", *PAGES}  # shown: tests/test_docs.py
+    assert written == {"README", "shown", "own_policy", *PAGES}  # shown: tests/test_docs.py
     index = (project_root / "docs/extending/README.md").read_text(encoding="utf-8")
     assert "```python" not in index
-    for page in PAGES:
+    for page in (*PAGES, "own_policy"):
         assert f"]({page}.md)" in index
 
 
@@ -454,3 +455,37 @@ def test_snakemake_runs_a_study_of_plugins(tiny_with, folder, project_root, caps
     rules.write_text(rules.read_text(encoding="utf-8") + "\n# edited\n", encoding="utf-8")
     again = run_python(folder, project_root, *snakemake, "-n", *given)
     assert "evaluate_classical" in again.stdout + again.stderr
+
+
+@pytest.mark.nightly
+def test_a_policy_of_another_library_joins_a_study(project_root, folder, capsys):
+    """The files of the page, its training and its study; PPO has learnt, in both of its forms."""
+    for package in ("stable_baselines3", "onnxruntime", "onnxscript"):
+        pytest.importorskip(package)
+    page = (project_root / "docs/extending/own_policy.md").read_text(encoding="utf-8")
+    for block in FENCE.finditer(page):
+        if block[1]:
+            file = re.match(r"# (\S+)\n", block[2])
+            assert file, block[2]
+            (folder / file[1]).write_text(block[2], encoding="utf-8")
+    trained = run_python(folder, project_root, "train.py")
+    assert trained.returncode == 0, trained.stderr
+    study = ("-m", "hiersched.cli", "run", "mine.yaml", "--cores", "1")
+    done = run_python(folder, project_root, *study)
+    assert done.returncode == 0, done.stdout + done.stderr
+    table = pd.read_csv("results/mine/tables/policies.csv").set_index("policy")
+    late = table["urllc_late_share"]
+    assert late["ppo"] < 0.5 * late["pf"]
+    assert late["net"] == pytest.approx(late["ppo"], rel=0.05)
+    assert Path("results/mine/figures/fig8_violations.png").stat().st_size > 10_000
+    for policy in ("ppo", "net"):
+        replays(Path(f"results/mine/runs/evaluate/{policy}/seed101.mcap"), capsys)
+    with open("ppo.onnx", "ab") as graph:
+        graph.write(b"\x32\x00")  # one more text, empty, about the graph: it stays valid
+    again = run_python(folder, project_root, *study, "--snakemake=-n")
+    assert again.returncode == 0, again.stdout + again.stderr
+    planned = set(re.findall(r"^(\w+)_mine +1$", again.stdout + again.stderr, re.MULTILINE))
+    assert {"evaluate_net", "measure_net", "table_policies"} <= planned
+    assert not planned & {
+        f"{job}_{p}" for job in ("evaluate", "measure") for p in ("ppo", "classical")
+    }

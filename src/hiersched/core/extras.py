@@ -19,6 +19,7 @@ EXTRA_OF = {
     "rerun": "viewer",
     "PIL": "render",
     "stable_baselines3": "sb3",
+    "onnxruntime": "onnx",
 }
 """Package that is imported -> the extra that brings it."""
 

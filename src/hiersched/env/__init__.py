@@ -11,8 +11,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from hiersched.core.extras import naming_extras
-from hiersched.env.core import SlotLoop, action_weights, agent_views
+from hiersched.env.core import SlotLoop, agent_views
 from hiersched.policies.features import FEATURE_VERSION, FEATURES
+from hiersched.policies.policy import action_weights
 
 if TYPE_CHECKING:
     from hiersched.env.parallel import SlicingParallelEnv

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from hiersched.core.extras import naming_extras
 from hiersched.core.randomness import world_key
 from hiersched.policies.features import LEAST_PACKETS, SPEED_FLOOR_M2PS2
-from hiersched.policies.policy import Weigher
+from hiersched.policies.policy import Weigher, action_weights
 from hiersched.scenario import load_scenario
 from hiersched.scenario.schema import Learning, Scenario
 from hiersched.simulator import Gains, Simulator, SlotRecord
@@ -30,12 +30,6 @@ _CONTROL_COST_S2PM2 = 16.0
 def as_scenario(scenario: Scenario | str | Path) -> Scenario:
     """Return a scenario as it is, or load it by the name of a shipped one or by its path."""
     return scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
-
-
-def action_weights(actions: NDArray[np.floating], weight_exponent: float) -> NDArray[np.float64]:
-    """Turn actions a into weights w = exp(c a), any shape; float32 values, as the log has them."""
-    exponent = np.float64(weight_exponent) * actions
-    return np.exp(exponent).astype(np.float32).astype(np.float64)
 
 
 def task_costs(record: SlotRecord, learning: Learning) -> NDArray[np.float64]:

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
+from hiersched.core.extras import MissingExtraError
 from hiersched.core.memory import physical_memory_bytes
 from hiersched.core.randomness import world_key
 from hiersched.experiments.points import experiments, groups
@@ -16,6 +18,8 @@ from hiersched.models.model import num_model_values
 from hiersched.models.plant.operator import TABLE_WIDTH
 from hiersched.models.plant.reference import tasks_of
 from hiersched.policies.features import num_features
+from hiersched.policies.files import FilePolicy, PolicyFileError
+from hiersched.policies.find import file_spaces
 from hiersched.scenario import Scenario, ScenarioError, find_scenario, load_scenario
 from hiersched.scenario.schema import Learning
 from hiersched.simulator.loop_gains import plant_of
@@ -37,7 +41,7 @@ def load_study(name_or_path: str | Path) -> Scenario:
     scenario = load_scenario(name_or_path)
     try:
         experiments(scenario)
-        checks = _name_faults, memory_faults, design_faults
+        checks = _name_faults, memory_faults, design_faults, file_faults
         if faults := [fault for check in checks for fault in check(scenario)]:
             raise ScenarioError("\n".join(faults))
     except ScenarioError as error:
@@ -73,6 +77,29 @@ def design_faults(scenario: Scenario) -> list[str]:
                 where = f"{experiment.name} {point.value}".rstrip()
                 faults.append(f"{where}: no gain can be designed for this plant: {error}")
     return faults
+
+
+def file_faults(scenario: Scenario) -> list[str]:
+    """Say which policies in files do not fit a point at which they run; none of them is run.
+
+    MissingExtraError if what runs one is not installed.
+    """
+    faults: dict[str, str] = {}
+    for experiment in experiments(scenario).values():
+        for point, policy in experiment.runs(experiment.policies):
+            entry = point.scenario.policies.get(policy)
+            if not isinstance(entry, FilePolicy):
+                continue
+            if find_spec(entry.package) is None:
+                raise MissingExtraError(entry.package)
+            where = f"{experiment.name} {point.value}".rstrip()
+            try:
+                found = entry.shape_faults(file_spaces(entry), point.scenario)
+            except PolicyFileError as error:
+                found = [str(error)]
+            for fault in found:
+                faults.setdefault(f"policies.{policy}.{fault}", where)
+    return [f"{where}: {fault}" for fault, where in faults.items()]
 
 
 def slot_bytes(scenario: Scenario) -> int:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.core.randomness import STREAM_DELAY, draw_uniforms
+from hiersched.policies.files import FilePolicy
 from hiersched.policies.registry import Rule
 from hiersched.scenario import Scenario, ScenarioError, with_values
 from hiersched.scenario.consistency import inconsistencies
@@ -57,7 +58,10 @@ GAINS: tuple[Gain, ...] = ("nominal", "adjusted")
 
 BASELINE = "pf"
 CLASSICAL_GROUP = "classical"
-"""Policies that need no training share a job; each learner's have one of their own."""
+"""Policies that need no training share a job; each learner's have one of their own.
+
+So has a policy in a file: a changed file, or a library that is missing, touches no other's runs.
+"""
 LOOP_CELLS = "gain_cells"
 """Experiment of the cells of the gain study."""
 GAIN_GROUP = "gains"
@@ -673,7 +677,8 @@ def groups(scenario: Scenario, experiment: Experiment) -> dict[str, tuple[str, .
         return {GAIN_GROUP: experiment.policies}
     found: dict[str, tuple[str, ...]] = {}
     for policy in experiment.policies:
-        group = policy if policy in scenario.learned else CLASSICAL_GROUP
+        is_file = isinstance(scenario.policies.get(policy), FilePolicy)
+        group = policy if is_file or policy in scenario.learned else CLASSICAL_GROUP
         found[group] = (*found.get(group, ()), policy)
     return dict(sorted(found.items(), key=lambda item: item[0] != CLASSICAL_GROUP))
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hiersched.core.randomness import world_key
+from hiersched.policies.files import FilePolicy
 from hiersched.policies.find import find_policy
 from hiersched.scenario import Scenario
 from hiersched.simulator import Gains, Simulator
@@ -52,7 +53,9 @@ def seed_worlds(purpose: str, seeds: Sequence[int]) -> NDArray[np.uint64]:
 
 def untrained_policies(scenario: Scenario, name: str) -> tuple[RunnablePolicy]:
     """Return the policy of a name that needs no training (a `PolicySource`)."""
-    return (RunnablePolicy(policy=find_policy(scenario, name)),)
+    entry = scenario.policies.get(name)
+    metadata = entry.metadata if isinstance(entry, FilePolicy) else {}
+    return (RunnablePolicy(policy=find_policy(scenario, name), metadata=metadata),)
 
 
 def run_worlds(

@@ -14,8 +14,9 @@ from hiersched.allocation.exact import exact_allocation
 from hiersched.allocation.objective import slot_terms
 from hiersched.core.parameters import STRICT, OwnKeys
 from hiersched.core.registry import UnknownNameError
+from hiersched.policies.files import FilePolicy, OnnxPolicy, PolicyFileError, Sb3Policy, Spaces
 from hiersched.policies.index_rules import CLASSICAL
-from hiersched.policies.policy import FunctionPolicy, Owners, Policy, View
+from hiersched.policies.policy import Agent, FunctionPolicy, Owners, Policy, View
 from hiersched.policies.registry import RULES, Rule
 from hiersched.policies.task_rules import TASK_RULES as TASK_RULES  # registers them
 
@@ -74,12 +75,53 @@ def untrained_names(scenario: Scenario) -> tuple[str, ...]:
     return (*UNTRAINED, *scenario.policies)
 
 
-def find_policy(scenario: Scenario, name: str) -> Rule | Policy:
-    """Return the policy of a name that needs no training; UnknownNameError if there is none."""
+def is_rule(scenario: Scenario, name: str) -> bool:
+    """Whether a name is that of a rule; no policy is imported or loaded to say so."""
+    return name in CLASSICAL or isinstance(scenario.policies.get(name), Rule)
+
+
+def file_spaces(entry: FilePolicy) -> Spaces:
+    """Read the spaces of a policy in a file; no code in the file runs.
+
+    PolicyFileError if it is no such file.
+    """
+    if isinstance(entry, Sb3Policy):
+        from hiersched.policies.sb3 import read_spaces
+
+        return read_spaces(entry)
+    from hiersched.policies.onnx import open_graph
+
+    assert isinstance(entry, OnnxPolicy)  # there are no others
+    return open_graph(entry).spaces
+
+
+def _agent(entry: FilePolicy, scenario: Scenario) -> Agent:
+    """Load a policy in a file for a scenario; code in the file runs."""
+    if isinstance(entry, Sb3Policy):
+        from hiersched.policies.sb3 import Sb3Agent
+
+        return Sb3Agent(entry, scenario)
+    from hiersched.policies.onnx import OnnxAgent
+
+    assert isinstance(entry, OnnxPolicy)
+    return OnnxAgent(entry, scenario)
+
+
+def find_policy(scenario: Scenario, name: str) -> Rule | Policy | Agent:
+    """Return the policy of a name that needs no training; UnknownNameError if there is none.
+
+    One in a file is loaded, which runs code that is in the file: PolicyFileError if it cannot be,
+    or does not fit the scenario.
+    """
     if name in scenario.policies:
         entry = scenario.policies[name]
         if isinstance(entry, Rule):
             return entry
+        if isinstance(entry, FilePolicy):
+            try:
+                return _agent(entry, scenario)
+            except PolicyFileError as error:
+                raise PolicyFileError(f"policies.{name}.{error}") from error
         module, _, function = entry.source.partition(":")
         return FunctionPolicy(
             getattr(import_module(module), function), entry.rule, entry.parameters

@@ -1,10 +1,11 @@
 """What a policy is: from what a base station may know to weights, or to owners.
 
-There are three forms, all of which `Simulator.run` takes:
+There are four forms, all of which `Simulator.run` takes:
 
 - a `Rule`, compiled (`policies.registry`);
 - a `Weigher`, compiled: factors of a base rule's utilities, such as a trained network;
-- anything with `decide(view)`, in Python, called once a slot for all worlds.
+- anything with `decide(view)`, in Python, called once a slot for all worlds;
+- an `Agent`, in Python likewise: it observes features and acts, as in the environments.
 """
 
 from __future__ import annotations
@@ -100,6 +101,39 @@ class FunctionPolicy:
         if isinstance(decision, np.ndarray):
             return Weights(decision, self._rule)
         return decision  # the simulator looks at it
+
+
+def action_weights(actions: NDArray[np.floating], weight_exponent: float) -> NDArray[np.float64]:
+    """Turn actions a into weights w = exp(c a), any shape; float32 values, as the log has them."""
+    exponent = np.float64(weight_exponent) * actions
+    return np.exp(exponent).astype(np.float32).astype(np.float64)
+
+
+class Agent:
+    """A policy in Python that acts as agents do in the environments (`hiersched.env`)."""
+
+    name: str  # in messages
+    rule: str  # the scheduler whose utilities, or drift, its weights multiply
+    weighs: str  # ``utility`` or ``drift``: which of them
+    weight_exponent: float  # c of w = exp(c a)
+    observe_robots: bool  # whether the features of the robots are observed
+    observe_demand: bool  # whether those of their tasks' demand are
+
+    def act(self, features: NDArray[np.float32]) -> NDArray[np.floating]:
+        """Return a number in [-1, 1] for every user, shape (E, U), from features (E, U, F)."""
+        raise NotImplementedError
+
+    def weights(self, features: NDArray[np.float32]) -> Weights:
+        """Return the weights of its actions; ValueError if one is outside [-1, 1], or no number."""
+        actions = self.act(features)
+        fine = np.abs(actions) <= 1.0  # one comparison that is false for NaN too
+        if not fine.all():
+            env, user = np.argwhere(~fine)[0].tolist()
+            raise ValueError(
+                f"{self.name}: actions must lie in [-1, 1] (a graph has to clip them itself); user "
+                f"{user} of world {env} has {actions[env, user]}"
+            )
+        return Weights(action_weights(actions, self.weight_exponent), self.rule, self.weighs)
 
 
 class LoggedWeights:

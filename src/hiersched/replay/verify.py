@@ -18,9 +18,8 @@ from hiersched.experiments.points import logged_delays
 from hiersched.log import LogReader, LogWriter
 from hiersched.log.schema import MODELS_TOPIC
 from hiersched.models.model import model_fields
-from hiersched.policies.find import find_policy, untrained_names
+from hiersched.policies.find import find_policy, is_rule
 from hiersched.policies.policy import LoggedDecisions, LoggedWeights
-from hiersched.policies.registry import Rule
 from hiersched.simulator import Simulator, SlotRecord
 from hiersched.simulator.simulator import AnyPolicy
 
@@ -55,8 +54,9 @@ def verify(run: LoggedRun, on_slots: OnSlots | None = None) -> Difference | None
 
     The world and the forced delays of a gain study come from the seed and have to be the logged
     ones. Classical schedulers decide again; the decisions of learned policies are taken from the
-    log, and all that follows from them is computed. Decisions are weights and multipliers, so that
-    who gets which PRB already follows; where the log does not have the weights, the owners are.
+    log, and all that follows from them is computed. So are those of policies in Python and in
+    files, which are not opened. Decisions are weights and multipliers, so that who gets which PRB
+    already follows; where the log does not have the weights, the owners are.
     Whether a learned policy's weights are its own, `rerun` says. Fields that the log does not have
     are not compared, nor are `run.unknown_fields`.
 
@@ -125,8 +125,7 @@ def decides_again(run: LoggedRun) -> bool:
     """Whether replay lets the run's policy decide again, or takes the decisions of the log."""
     if run.stage == "gain_study":
         return True  # there is nothing to decide
-    known = run.policy in untrained_names(run.scenario)
-    return known and isinstance(find_policy(run.scenario, run.policy), Rule)
+    return is_rule(run.scenario, run.policy)
 
 
 def _decider(run: LoggedRun, logged: Fields) -> AnyPolicy:

@@ -11,6 +11,7 @@ from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from hiersched.core.parameters import read_strictly
 from hiersched.models.model import Model, Section
+from hiersched.policies.files import FILE_POLICIES
 from hiersched.policies.find import ImportedPolicy
 from hiersched.policies.registry import RULES
 
@@ -21,7 +22,7 @@ def chosen_from(section: Section) -> PlainValidator:
 
 
 def policy_entry() -> PlainValidator:
-    """Annotate an entry of `policies`: a rule with keys of its own, or an imported function."""
+    """Annotate an entry of `policies`: a rule with its keys, an imported function, a file."""
     return PlainValidator(_choose_policy)
 
 
@@ -48,11 +49,14 @@ def _choose(section: Section, value: Any) -> Model:
 def _choose_policy(value: Any) -> Any:
     if isinstance(value, Mapping) and "import" in value:
         return read_strictly(ImportedPolicy, value)
+    for key, kind in FILE_POLICIES.items():
+        if isinstance(value, Mapping) and key in value:
+            return read_strictly(kind, value)
     if not isinstance(value, Mapping) or "model" not in value:
         raise PydanticCustomError(
             "no_policy",
-            "must be a mapping with the key `model` (a rule with keys of its own) or `import` "
-            "(module:function)",
+            "must be a mapping with the key `model` (a rule with keys of its own), `import` "
+            "(module:function), `sb3` or `onnx` (a file)",
         )
     return _choose(RULES, value)
 

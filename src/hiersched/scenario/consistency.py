@@ -17,6 +17,7 @@ from hiersched.core.registry import ALGORITHMS, BUILT_IN_ALGORITHMS
 from hiersched.models.model import SECTIONS
 from hiersched.models.plant.estimator import MAX_TURN_RATE_RADPS
 from hiersched.models.plant.reference import greatest_turn_rate, period_s, tasks_of
+from hiersched.policies.files import FilePolicy
 from hiersched.policies.find import UNTRAINED, ImportedPolicy, untrained_names
 from hiersched.scenario.fault_text import meant, own_faults
 from hiersched.scenario.reference_file import reference_faults
@@ -382,6 +383,10 @@ def _own_policies(scenario: Scenario) -> list[str]:
             faults.append(f"{key}: the name of {taken[name]}: must be another one")
         if isinstance(policy, ImportedPolicy):
             faults += _import_faults(key, policy)
+        elif isinstance(policy, FilePolicy):
+            faults += [f"{key}.{fault}" for fault in policy.faults(scenario)]
+            if name in RESERVED_LEARNERS:
+                faults.append(f"{key}: the name of jobs of the study: must be another one")
         else:
             faults += [f"{key}: {fault}" for fault in _asked(key, policy.faults, scenario)]
     return faults
@@ -570,6 +575,11 @@ def _axes(scenario: Scenario) -> list[str]:
                         "robot.reference)",
                     ),
                     (
+                        _is_of_file(scenario, key),
+                        f"{varied}: cannot be varied: a policy's files are read but once (name "
+                        "another policy under `policies`)",
+                    ),
+                    (
                         key.partition(".")[0] not in SWEPT_SECTIONS,
                         f"{varied}: must be a key of {', '.join(SWEPT_SECTIONS)} (what learners "
                         "differ in stands under `learners`)",
@@ -579,6 +589,15 @@ def _axes(scenario: Scenario) -> list[str]:
         if isinstance(axis.policies, tuple):
             faults += _policies(scenario, f"{place}.policies", axis.policies)
     return faults
+
+
+def _is_of_file(scenario: Scenario, key: str) -> bool:
+    """Whether a dotted key names a policy in a file, its file or the hash of it."""
+    section, *rest = key.split(".")
+    entry = scenario.policies.get(rest[0]) if section == "policies" and rest else None
+    if not isinstance(entry, FilePolicy):
+        return False
+    return len(rest) == 1 or rest[1].removesuffix("_sha256") in entry.file_keys
 
 
 def _gain_study(scenario: Scenario) -> list[str]:

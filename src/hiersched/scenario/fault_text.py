@@ -15,6 +15,7 @@ from pydantic import ValidationError
 
 from hiersched.core.faults import InputError
 from hiersched.models.model import SECTIONS, Section
+from hiersched.policies.files import FILE_POLICIES
 from hiersched.policies.registry import RULES
 from hiersched.scenario.old_keys import new_key
 from hiersched.scenario.schema import Axis, Family, LoopCell, Scenario, TaskCell
@@ -133,10 +134,17 @@ def allowed_keys(location: Location, merged: Mapping[str, Any]) -> list[str]:
             return _model_keys(RULES, _value_at(merged, location))
         return [field.name for field in fields(Family)]
     if section == "policies":
-        entry = _value_at(merged, location)
-        keys = ["import", "rule", "parameters"]
-        return keys if "import" in entry else _model_keys(RULES, entry)
+        return _policy_keys(_value_at(merged, location))
     return list(section_keys().get("learning" if section == "learners" else section, ()))
+
+
+def _policy_keys(entry: Mapping[str, Any]) -> list[str]:
+    if "import" in entry:
+        return ["import", "rule", "parameters"]
+    for key, kind in FILE_POLICIES.items():
+        if key in entry:
+            return [field.name for field in fields(kind)]
+    return _model_keys(RULES, entry)
 
 
 def _model_keys(section: Section, values: Mapping[str, Any]) -> list[str]:

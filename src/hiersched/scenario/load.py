@@ -14,10 +14,12 @@ import yaml
 from pydantic import TypeAdapter, ValidationError
 
 from hiersched.models.model import SECTIONS
+from hiersched.policies.files import PolicyFileError
 from hiersched.scenario.consistency import inconsistencies
 from hiersched.scenario.fault_text import ScenarioError, allowed_keys, describe, meant, section_keys
 from hiersched.scenario.old_keys import converted
 from hiersched.scenario.plugins import CONFIG, load_plugins
+from hiersched.scenario.policy_files import with_policy_files
 from hiersched.scenario.reference_file import ReferenceFileError, read_reference
 from hiersched.scenario.schema import Scenario, hold_of
 from hiersched.scenario.strict_yaml import parse_yaml
@@ -226,6 +228,10 @@ def load_scenario(name_or_path: str | Path, *, defaults: Path | None = None) -> 
     sources = [*overlays, (defaults, {})]
     merged = _without_none(_with_points(_with_axes(merged, whole=True), sources))
     merged = _with_learners(merged)
+    try:
+        merged = with_policy_files(merged, sources)
+    except PolicyFileError as error:
+        raise ScenarioError(str(error)) from error
     if "name" not in overlays[0][1]:  # that of a scenario which it extends is not its own
         merged["name"] = path.stem
     _load_plugins(merged, sources)
@@ -383,7 +389,7 @@ def scenario_to_dict(scenario: Scenario) -> dict[str, Any]:
     """Plain mapping of a scenario: numbers, text, lists and mappings only."""
     result: dict[str, Any] = json.loads(json.dumps(asdict(scenario)))
     for entry in result["policies"].values():
-        if "model" not in entry:
+        if "source" in entry:
             entry["import"] = entry.pop("source")
     return result
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hiersched.models.model import SECTIONS, Model
-from hiersched.policies.find import ImportedPolicy
+from hiersched.policies.registry import Rule
 from hiersched.scenario.fault_text import ScenarioError
 from hiersched.scenario.plugins import CONFIG
 from hiersched.scenario.schema import Scenario, model_at
@@ -79,7 +79,7 @@ def scenario_notes(scenario: Scenario, defaults: Path | None = None) -> list[Par
         for key in sorted(axes - known)
     ]
     for name, policy in scenario.policies.items():
-        if not isinstance(policy, ImportedPolicy):
+        if isinstance(policy, Rule):
             notes += _own_notes(f"policies.{name}", policy)
     return notes
 

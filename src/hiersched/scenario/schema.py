@@ -20,6 +20,7 @@ from hiersched.core.parameters import (
     Share,
 )
 from hiersched.models import model
+from hiersched.policies.files import FilePolicy
 from hiersched.policies.find import ImportedPolicy
 from hiersched.policies.registry import Rule
 from hiersched.scenario.choice import chosen_from, policy_entry, rule_entry
@@ -380,8 +381,8 @@ class Scenario(_Strict):
     plant: Annotated[model.Plant, chosen_from(model.PLANT)]
     robot_kinds: Mapping[CellName, RobotKind] = field(hash=False)
     control: Control
-    policies: Mapping[PolicyName, Annotated[Rule | ImportedPolicy, policy_entry()]] = field(
-        hash=False
+    policies: Mapping[PolicyName, Annotated[Rule | ImportedPolicy | FilePolicy, policy_entry()]] = (
+        field(hash=False)
     )
     learning: Learning
     learners: Mapping[LearnerName, Learning] = field(hash=False)

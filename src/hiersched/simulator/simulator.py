@@ -16,6 +16,7 @@ from hiersched.models.model import Model, Setup, models_of, num_model_values
 from hiersched.policies.features import num_features, observe_worlds
 from hiersched.policies.find import find_policy
 from hiersched.policies.policy import (
+    Agent,
     LoggedDecisions,
     Owners,
     Policy,
@@ -45,7 +46,7 @@ from hiersched.simulator.setup import (
     slot_state,
 )
 
-AnyPolicy = str | Rule | Weigher | Policy | LoggedDecisions
+AnyPolicy = str | Rule | Weigher | Policy | Agent | LoggedDecisions
 """Name of a rule, or a policy of one of the forms in `policies.policy`."""
 
 
@@ -202,7 +203,7 @@ class Simulator:
             self._run(None, record, self._owners(policy.prb_owner, num_slots))
         elif isinstance(policy, (Rule, Weigher)):  # a union is made anew in every call
             self._run(policy, record, weighs=weighs)
-        elif isinstance(policy, Policy):
+        elif isinstance(policy, (Agent, Policy)):
             self._by_slot(policy, record)
         else:
             raise ValueError(f"policy = {policy!r}: neither a rule nor has it `decide(view)`")
@@ -386,11 +387,22 @@ class Simulator:
         self._call(decide_slots, self._prepare(policy), *where, owners)
         return owners
 
-    def _by_slot(self, policy: Policy, record: SlotRecord) -> None:
+    def _decision(self, policy: Agent | Policy) -> Weights | Owners:
+        """Ask a policy in Python what it does in the coming slot."""
+        if not isinstance(policy, Agent):
+            return policy.decide(self.view)
+        features = self.features(
+            self.state.multiplier,
+            observe_robots=policy.observe_robots,
+            observe_demand=policy.observe_demand,
+        )
+        return policy.weights(features)
+
+    def _by_slot(self, policy: Agent | Policy, record: SlotRecord) -> None:
         """Ask a policy in Python in every slot."""
         one = self.new_record(1)
         for slot in range(record.prb_owner.shape[1]):
-            decision = policy.decide(self.view)
+            decision = self._decision(policy)
             if isinstance(decision, Weights):
                 self._set_weights(np.asarray(decision.values, np.float64))
                 self._run(decision.rule, one, weighs=decision.weighs)

@@ -10,7 +10,14 @@ from hiersched.experiments import dependencies, files
 from hiersched.experiments.feasible import load_study
 from hiersched.experiments.fingerprint import PACKAGE_FOLDER, code_fingerprint, kernels_name
 from hiersched.experiments.gains import designs, experiment_designs
-from hiersched.experiments.points import TASK, cell_of, experiments, groups, trained_learners
+from hiersched.experiments.points import (
+    CLASSICAL_GROUP,
+    TASK,
+    cell_of,
+    experiments,
+    groups,
+    trained_learners,
+)
 from hiersched.experiments.turns import begin_run
 from hiersched.scenario import ScenarioError, parameter_notes
 from hiersched.study.built_in import shown

@@ -40,7 +40,7 @@ for s in SCENARIOS:
                     policies=(inside(s, files.policy_files(s, group)) if group in s.learned else []),
                     knobs=(
                         inside(s, [files.tuning_file(cell_of(e))])
-                        if tuned and group not in s.learned
+                        if tuned and group == CLASSICAL_GROUP
                         else []
                     ),
                 output:
