@@ -16,6 +16,7 @@ EXTRA_OF = {
     "pyarrow": "study",
     "snakemake": "study",
     "tabulate": "study",
+    "jinja2": "study",
     "rerun": "viewer",
 }
 """Package that is imported -> the extra that brings it."""
