@@ -317,9 +317,9 @@ def _lines(
         for name, s in deadlines.items()
         if panel.deadline
     ]
-    meanings = [_MEANINGS.get(name, "of a model") for name in panel.fields]
+    texts = [_MEANINGS.get(name, "of a model") for name in panel.fields]
     return {
-        "meaning": "; ".join([*meanings, *(line["name"] for line in drawn)]),
+        "meaning": "; ".join([*texts, *(str(line["name"]) for line in drawn)]),
         "slices": len(panel.fields) > 1,
         "lines": len(values),
         "deadlines": drawn,

@@ -123,7 +123,7 @@ def _figure(thing: Shown, results: Path) -> dict[str, str]:
 def _table(thing: Shown, results: Path) -> Table:
     """Return a table with the columns of its Markdown, a number and its interval in one cell."""
     file = f"tables/{thing.name}.csv"
-    content = pd.read_csv(results / file, float_precision="round_trip", keep_default_na=False,
+    content = pd.read_csv(results / file, keep_default_na=False,
                           na_values=[""])  # fmt: skip
     is_read = thing.columns != () and len(content) <= MOST_ROWS
     columns = thing.columns or content.columns

@@ -15,10 +15,8 @@ _UNITS = {
     "s": "s",
 }
 """End of a name, behind an underscore -> unit."""
-_OF_MEASURES = {"mean_square_backlog": "packets²", "penalty_cost": "packets²"}
+_UNIT_OF = {"mean_square_backlog": "packets²", "penalty_cost": "packets²"}
 """Names without a unit at their end -> unit."""
-_RATIOS = ("_over_", "ratio", "share")
-"""What marks numbers without a unit."""
 _QUALIFIERS = ("_median", "_minus_own")
 """Ends behind a unit."""
 _WORDS = {
@@ -40,16 +38,19 @@ _WORDS = {
 
 
 def heading(name: str) -> str:
-    """Return the name of a column as words with its unit: ``urllc_rate_mbps`` is URLLC rate."""
-    rest, qualifier = name, ""
-    for end in _QUALIFIERS:
-        if name.endswith(end):
-            rest, qualifier = name.removesuffix(end), end
-    unit = "" if any(mark in rest for mark in _RATIOS) else _OF_MEASURES.get(rest, "")
-    for end, text in _UNITS.items():
-        if rest.endswith(f"_{end}") and not any(mark in rest for mark in ("_over_", "ratio")):
-            rest, unit = rest.removesuffix(f"_{end}"), text
-            break
-    words = " ".join(_WORDS.get(word, word) for word in f"{rest}{qualifier}".split("_") if word)
-    words = words[:1].upper() + words[1:] if not words.startswith("eMBB") else words
-    return f"{words} [{unit}]" if unit else words
+    """Return the name of a column as words with its unit.
+
+    ``urllc_rate_mbps`` is URLLC rate [Mbit/s]; a ratio, ``tracking_error_cm_over_own``, has none.
+    """
+    qualifier = next((end for end in _QUALIFIERS if name.endswith(end)), "")
+    parts = name.removesuffix(qualifier).split("_over_")
+    unit = _UNIT_OF.get(parts[0], "")
+    for place, part in enumerate(parts):
+        end = next((end for end in _UNITS if part.endswith(f"_{end}")), "")
+        parts[place] = part.removesuffix(f"_{end}") if end else part
+        unit = _UNITS.get(end, unit)
+    spoken = f"{'_over_'.join(parts)}{qualifier}".split("_")
+    words = " ".join(_WORDS.get(word, word) for word in spoken if word)
+    if not words.startswith("eMBB"):
+        words = words[:1].upper() + words[1:]
+    return f"{words} [{unit}]" if unit and len(parts) == 1 else words
