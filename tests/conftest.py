@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 # Before NumPy loads: the bits of a matrix product depend on the number of threads.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
@@ -312,3 +312,17 @@ def other_table(monkeypatch: pytest.MonkeyPatch) -> Callable[..., AbstractContex
             yield
 
     return other
+
+
+@pytest.fixture(scope="session")
+def browser(project_root: Path) -> Callable[[], AbstractContextManager[Any]]:
+    """Start a Chromium without a window; see `browser.py` beside this file."""
+    import importlib.util
+
+    spec = importlib.util.spec_from_file_location("browser", project_root / "tests/browser.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    program = module.find_chromium()
+    if program is None:
+        pytest.skip("needs Chromium")
+    return lambda: module.browser(program)

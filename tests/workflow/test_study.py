@@ -12,6 +12,7 @@ import pytest
 from hiersched.log import LogReader
 from hiersched.scenario import load_scenario
 from hiersched.study.built_in import shown
+from hiersched.study.page import write_study_page
 from hiersched.study.registry import CLAIMS, FIGURES, TABLES
 from hiersched.study.show import show
 
@@ -83,6 +84,9 @@ def test_a_study_without_learners_and_gains_shows_all_it_plans(
     assert tables == set(shown(TABLES, scenario)) > {"policies", "sweeps", "runs", "mine"}
     figures = {path.stem for path in (tmp_path / "figures").glob("*.svg")}
     assert figures == set(shown(FIGURES, scenario)) > {"fig4_rate_cdf", "mine"}
+    page = write_study_page(scenario, tmp_path).read_text(encoding="utf-8")
+    assert all(f'id="figure-{name}"' in page for name in figures)
+    assert "Mine." in page
 
 
 WITHOUT = {

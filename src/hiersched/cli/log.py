@@ -1,4 +1,4 @@
-"""Commands about logs: info, digest, recover, export, view, schema."""
+"""Commands about logs: info, digest, recover, export, view, report, schema."""
 
 from __future__ import annotations
 
@@ -26,6 +26,7 @@ def add_commands(commands: Any) -> None:
         ("recover", _recover, "write what is whole in a damaged or unfinished log into a new one"),
         ("export", _export, "write the topics of a log as tables, or what viewers need beside it"),
         ("view", _view, "open a log in Rerun (needs rerun-sdk: the extra hiersched[viewer])"),
+        ("report", _report, "write a log as one HTML page, which needs no network"),
     ):
         parser = commands.add_parser(name, help=text, description=text)
         parser.add_argument("log", metavar="LOG", help="an MCAP file of hiersched")
@@ -36,9 +37,12 @@ def add_commands(commands: Any) -> None:
         if name == "view":
             text = "write a Rerun recording (.rrd) instead"
             parser.add_argument("--save", metavar="FILE", help=text)
+        if name == "report":
+            parser.add_argument("--out", metavar="FILE", help="the page (LOG with .html)")
+            _add_span(parser)
         if name == "export":
             _add_export_options(parser)
-        if name in ("view", "export"):
+        if name in ("view", "report", "export"):
             add_overwrite(parser)
     text = "print the schema of the logs that this version writes, as a .proto file"
     commands.add_parser("schema", help=text, description=text).set_defaults(command=_schema)
@@ -54,6 +58,10 @@ def _add_export_options(parser: argparse.ArgumentParser) -> None:
         form.add_argument(f"--{name}", dest="form", action="store_const", const=name, help=text)
     parser.add_argument("--out", metavar="FOLDER", help="folder of the files (LOG without .mcap)")
     parser.add_argument("--topic", action="append", metavar="TOPIC", help="again for more; all")
+    _add_span(parser)
+
+
+def _add_span(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--from", dest="start", type=float, default=0.0, metavar="S",
                         help="from this time on [s]")  # fmt: skip
     parser.add_argument("--to", dest="stop", type=float, default=math.inf, metavar="S",
@@ -218,4 +226,14 @@ def _view(parsed: argparse.Namespace) -> int:
         with blaming_input(FileExistsError):
             refuse_existing(parsed.save, overwrite=parsed.overwrite)
     show_in_rerun(parsed.log, parsed.save)
+    return 0
+
+
+def _report(parsed: argparse.Namespace) -> int:
+    from hiersched.replay.page import write_log_page
+
+    source = Path(parsed.log)
+    out = Path(parsed.out) if parsed.out else source.with_suffix(".html")
+    with blaming_input((ValueError, FileExistsError)):
+        print(write_log_page(source, out, parsed.start, parsed.stop, overwrite=parsed.overwrite))
     return 0

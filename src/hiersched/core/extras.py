@@ -16,6 +16,7 @@ EXTRA_OF = {
     "pyarrow": "study",
     "snakemake": "study",
     "tabulate": "study",
+    "jinja2": "study",
     "rerun": "viewer",
     "PIL": "render",
     "stable_baselines3": "sb3",

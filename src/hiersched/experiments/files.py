@@ -19,6 +19,8 @@ BOUND = "bound/slots.csv"
 """Exact optima of sampled slots, beside the decisions there."""
 CLAIMS = ("claims.json", "claims.md")
 """Verdicts on the paper's claims, to compute with and to read."""
+PAGE = "report.html"
+"""All of it on one page: verdicts, figures, tables that sort, where everything comes from."""
 
 
 def gain_file(design: str) -> str:

@@ -58,9 +58,7 @@ def write_table(shown: Shown, content: pd.DataFrame, folder: Path) -> None:
 
 def markdown_text(table: pd.DataFrame, title: str, note: str) -> str:
     """Return a table as Markdown, a mean and its bounds in one cell."""
-    merged = [name for name in table.columns if {f"{name}_lo", f"{name}_hi"} <= set(table.columns)]
-    bounds = {f"{name}_{end}" for name in merged for end in ("lo", "hi")}
-    names = [name for name in table.columns if name not in bounds]
+    merged, names = merged_columns(table)
     lines = [f"# {title}", "", note, ""]
     lines.append("| " + " | ".join(str(name) for name in names) + " |")
     lines.append("|" + "|".join(_alignment(table, name) for name in names) + "|")
@@ -73,6 +71,13 @@ def markdown_text(table: pd.DataFrame, title: str, note: str) -> str:
         ]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
+
+
+def merged_columns(table: pd.DataFrame) -> tuple[list[str], list[str]]:
+    """Return the columns that have bounds, and all that are no bounds themselves."""
+    merged = [name for name in table.columns if {f"{name}_lo", f"{name}_hi"} <= set(table.columns)]
+    bounds = {f"{name}_{end}" for name in merged for end in ("lo", "hi")}
+    return merged, [name for name in table.columns if name not in bounds]
 
 
 def interval_text(mean: float, lo: float, hi: float) -> str:

@@ -149,3 +149,22 @@ for s in SCENARIOS:
                 f"Putting the claims of {s.name} together"
             shell:
                 "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"
+
+    rule:
+        name:
+            f"page_{s.name}"
+        input:
+            shown_files(s),
+            all_logs(s),
+        output:
+            whole(s, [files.PAGE]),
+        log:
+            f"{folder(s)}/logs/page.log",
+        threads: 1
+        params:
+            spec=spec("page", dependencies.scenario_values(s)),
+            args=arguments("page", s),
+        message:
+            f"Writing the page of {s.name}"
+        shell:
+            "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"

@@ -1,0 +1,8 @@
+"""Write the page of a study: everything that it shows in one file."""
+
+from hiersched.experiments.job import job
+from hiersched.study.page import write_study_page
+
+if __name__ == "__main__":
+    scenario, results, _ = job(__doc__)
+    write_study_page(scenario, results)
