@@ -43,6 +43,7 @@ nb_execution_show_tb = True
 nb_execution_timeout = 300
 nb_output_stderr = "remove"  # what compiles, where nothing has been compiled yet
 
+highlight_language = "none"
 default_role = "py:obj"
 autodoc_typehints = "signature"
 autodoc_member_order = "bysource"
