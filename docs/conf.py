@@ -41,6 +41,7 @@ nb_execution_mode = "force"
 nb_execution_raise_on_error = True
 nb_execution_show_tb = True
 nb_execution_timeout = 300
+nb_merge_streams = True
 nb_output_stderr = "remove"  # what compiles, where nothing has been compiled yet
 
 highlight_language = "none"

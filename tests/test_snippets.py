@@ -1,7 +1,7 @@
 """The Python snippets of the pages run from top to bottom, each page's in one namespace.
 
-Those of README.md and docs/control.md need nothing. docs/results.md, docs/log.md and docs/how_to.md read
-results or logs: they run on those of `make smoke` if HIERSCHED_RESULTS says where they lie, as
+Those of README.md and docs/control.md need nothing. docs/results.md, docs/log.md and docs/how_to.md
+read results or logs: they run on those of `make smoke` if HIERSCHED_RESULTS says where they lie, as
 `.ci/run` does.
 """
 
