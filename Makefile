@@ -23,7 +23,7 @@ RUN := env PATH="$(BIN):$$PATH" OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: oldest help install paper smoke readme docs gains test nightly mutants lint format bench bench-short clean distclean teleop teleop-learning
+.PHONY: oldest help install paper smoke readme docs site gains test nightly mutants lint format bench bench-short clean distclean teleop teleop-learning
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-15s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -56,6 +56,10 @@ readme: $(STAMP)  ## write the verdicts of results/paper into the README
 
 docs: $(STAMP)  ## write the generated parts of the documents, and the JSON schema of scenarios
 	$(RUN) python docs/generate.py
+
+site: $(STAMP)  ## the documents as a site, links checked, the notebook run (results/site)
+	$(RUN) python -m sphinx -W --keep-going -q -b html -c docs -d results/.doctrees . results/site
+	$(RUN) python docs/check_site.py results/site
 
 gains: $(STAMP)  ## design the gains that the package ships anew
 	$(RUN) python src/hiersched/workflow/scripts/ship_gains.py
@@ -96,7 +100,7 @@ bench-short: $(STAMP)  ## the same way with less work, in half a minute: does it
 	$(RUN) python benchmarks/run.py --short
 
 clean:  ## remove caches and build leftovers (results/ and the environment stay)
-	rm -rf results/.kernels build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .benchmarks
+	rm -rf results/.kernels results/.doctrees results/.jupyter_cache build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .benchmarks
 	find src tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
 
 distclean: clean  ## remove the environment and the results too

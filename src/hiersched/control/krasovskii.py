@@ -51,7 +51,7 @@ def analyse_krasovskii(
     """C3 analysis: search the Krasovskii functional of largest margin for a given loop.
 
     With x = x(k), o = x(k-T), d = x(k-d), e = eta(k) = (A_c - I) x + A_d d, find symmetric P, S, R
-    and a full X such that for all (x, o, d) other than 0
+    and a full X such that for all (x, o, d) other than 0::
 
         2 x^T P e + e^T P e + x^T S x - o^T S o + T^2 e^T R e
             - [x - d; d - o]^T [[R, X], [X^T, R]] [x - d; d - o] < 0,
@@ -110,7 +110,7 @@ class KrasovskiiSynthesis:
     """The synthesis inequality of one plant, compiled once and re-solved for each delay.
 
     With Q2 = P2^-1, Y = K Q2 and P3 = epsilon P2, min ||(Y - K_nominal Q2) W||_F^2 over
-    Q2 + Q2^T >= 2 I, Y, P > 0, S > 0, R and X with [[R, X], [X^T, R]] > 0 subject to (4n x 4n)
+    Q2 + Q2^T >= 2 I, Y, P > 0, S > 0, R and X with [[R, X], [X^T, R]] > 0 subject to (4n x 4n)::
 
         [[E0+E0^T+S-R, P-Q2+eps E0^T,           X,    R-X+F   ],
          [*,           -eps(Q2+Q2^T)+P+T^2 R,   0,    eps F   ],

@@ -64,7 +64,7 @@ def razumikhin_gamma(decay_rate: float, delay_steps: SupportsIndex) -> float:
 class WeightedMap:
     """The map Q -> sum_i F_i Q F_i^T / w_i of symmetric matrices, which decides on a P.
 
-    With F = [F_1, ..., F_k] (`blocks`, (n, n) each) and Q = P^-1, the Schur complement turns
+    With F = [F_1, ..., F_k] (`blocks`, (n, n) each) and Q = P^-1, the Schur complement turns::
 
         diag(w_1 P, ..., w_k P) - F^T P F > 0        (k n x k n)
 
@@ -131,7 +131,7 @@ def analyse_razumikhin(
     """C1 analysis: search V = x^T P x with V(k+1) <= (1 - a - tau g) V(k) + tau V(k-d).
 
     With the relative decay a in (0, 1) of V a sample and g = (1 - a)^-T, find P > 0 and tau > 0
-    such that (2n x 2n)
+    such that (2n x 2n)::
 
         diag((1 - a - tau g) P, tau P) - [A_c, A_d]^T P [A_c, A_d] > 0.
 
@@ -167,7 +167,7 @@ def analyse_delay_razumikhin(
     """C2 analysis: search V = x^T P x with V(k+1) < max V over the last 2T + 1 samples.
 
     With M = A_c + A_d, B1 = -A_d (A_c - I) and B2 = -A_d A_d, find P > 0 and p + t1 + t2 < 1
-    such that (3n x 3n)
+    such that (3n x 3n)::
 
         diag(p P, t1 P, t2 P) - [M, T B1, T B2]^T P [M, T B1, T B2] > 0.
 
@@ -250,7 +250,7 @@ class RazumikhinSynthesis:
     """C1 synthesis for one split plant and decay rate a in (0, 1), compiled once and re-solved.
 
     With Q = P^-1, Y = K Q, g = (1 - a)^-T and p = 1 - a - tau g, min ||(Y - K_nominal Q) W||_F^2
-    over Q >= I and Y subject to (3n x 3n)
+    over Q >= I and Y subject to (3n x 3n)::
 
         [[p Q, 0, (A Q - B Y)^T], [0, tau Q, (A_d Q)^T], [A Q - B Y, A_d Q, Q]] > 0.
 
@@ -343,7 +343,7 @@ class RazumikhinSynthesis:
     ) -> tuple[FloatArray, RazumikhinWitness] | None:
         """Return the gain closest to the nominal one for a fixed P > 0: (a), exact and convex.
 
-        Minimises ||K^ - K||_F^2 over (K^, tau) subject to (3n x 3n)
+        Minimises ||K^ - K||_F^2 over (K^, tau) subject to (3n x 3n)::
 
             [[(1 - a - tau g) P, 0, (A - B K^)^T P], [0, tau P, A_d^T P], [*, *, P]] > 0.
 

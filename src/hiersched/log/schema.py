@@ -23,7 +23,8 @@ from google.protobuf.message_factory import GetMessageClass
 
 from hiersched.core.fields import FIELDS, LETTERS, TOPIC_MEANINGS, Field
 
-SCHEMA_VERSION = 1  # for people: readers go by the descriptors in a file
+SCHEMA_VERSION = 1
+"""For people: readers go by the descriptors in a file."""
 LIBRARY = f"hiersched-log/{SCHEMA_VERSION}"  # fixed: a version of NumPy or mcap would change bytes
 METADATA_NAME = "hiersched"
 MODEL_FIELDS = "model_fields"  # key of the metadata: what the numbers of models are
@@ -111,6 +112,7 @@ def topics_of(fields: Iterable[Field]) -> Mapping[str, Topic]:
 
 
 TOPICS = topics_of(FIELDS)
+"""Topics by their names: message, fields, profiles."""
 
 
 def topics_in(profile: str, num_model_values: int = 0) -> dict[str, Topic]:
