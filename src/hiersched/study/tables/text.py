@@ -1,15 +1,11 @@
-"""Writes a table, as CSV with full precision and as Markdown to read."""
+"""Tables as text: CSV with full precision, Markdown to read."""
 
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import pandas as pd
-
-from hiersched.core.files import csv_text, write_bytes
-from hiersched.study.registry import Shown
 
 SEEDS_NOTE = "Means over seeds, in brackets their Student t 95 % intervals."
 LOGGED_NOTE = (
@@ -35,21 +31,9 @@ TROUBLE_NOTE = (
 )
 
 
-def write_table(shown: Shown, content: pd.DataFrame, folder: Path) -> None:
-    """Write a table into ``tables/``: CSV, and Markdown unless it has no columns to read."""
-    write_bytes(folder / f"{shown.name}.csv", csv_text(content).encode())
-    if shown.columns != ():
-        columns = shown.columns or content.columns
-        read = content[[name for name in columns if name in content]]
-        text = markdown_text(read, shown.title, shown.note)
-        write_bytes(folder / f"{shown.name}.md", text.encode())
-
-
 def markdown_text(table: pd.DataFrame, title: str, note: str) -> str:
     """Return a table as Markdown, a mean and its bounds in one cell."""
-    merged = [name for name in table.columns if {f"{name}_lo", f"{name}_hi"} <= set(table.columns)]
-    bounds = {f"{name}_{end}" for name in merged for end in ("lo", "hi")}
-    names = [name for name in table.columns if name not in bounds]
+    merged, names = merged_columns(table)
     lines = [f"# {title}", "", note, ""]
     lines.append("| " + " | ".join(str(name) for name in names) + " |")
     lines.append("|" + "|".join(_alignment(table, name) for name in names) + "|")
@@ -62,6 +46,13 @@ def markdown_text(table: pd.DataFrame, title: str, note: str) -> str:
         ]
         lines.append("| " + " | ".join(cells) + " |")
     return "\n".join(lines) + "\n"
+
+
+def merged_columns(table: pd.DataFrame) -> tuple[list[str], list[str]]:
+    """Return the columns that have bounds, and all that are no bounds themselves."""
+    merged = [name for name in table.columns if {f"{name}_lo", f"{name}_hi"} <= set(table.columns)]
+    bounds = {f"{name}_{end}" for name in merged for end in ("lo", "hi")}
+    return merged, [name for name in table.columns if name not in bounds]
 
 
 def interval_text(mean: float, lo: float, hi: float) -> str:
@@ -98,7 +89,7 @@ def cell_text(value: Any) -> str:
     """Return a cell: numbers with four significant digits, no number as a dash."""
     if isinstance(value, bool) or not isinstance(value, float):
         return str(value).replace("|", "\\|")
-    return f"{value:.4g}" if math.isfinite(value) else "–"
+    return _rounded(value, 4) if math.isfinite(value) else "–"
 
 
 def _alignment(table: pd.DataFrame, name: str) -> str:
