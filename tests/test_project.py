@@ -207,7 +207,7 @@ def test_every_extra_brings_what_its_error_promises(project_root: Path) -> None:
         name: {re.split(r"[^\w.-]", requirement)[0] for requirement in requirements}
         for name, requirements in extras.items()
     }
-    of_package = {"rerun": "rerun-sdk"}
+    of_package = {"rerun": "rerun-sdk", "stable_baselines3": "stable-baselines3"}
     missing = [
         (package, extra)
         for package, extra in EXTRA_OF.items()
