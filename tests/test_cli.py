@@ -217,7 +217,7 @@ def test_the_core_does_without_the_extras(tmp_path: Path, project_root: Path) ->
         "rerun, which is not installed: pip install 'hiersched[viewer]'",
         "import hiersched.learning.trainer":
         "torch, which is not installed: pip install 'hiersched[learn]'",
-        "from hiersched.study.study import Study":
+        "import hiersched.study.tables.policies":
         "pandas, which is not installed: pip install 'hiersched[study]'",
         "from hiersched.study.figures.style import policy_look":
         "matplotlib, which is not installed: pip install 'hiersched[study]'",

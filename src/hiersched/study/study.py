@@ -7,8 +7,9 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from hiersched.control import GainSchedule
-from hiersched.core.extras import naming_extras
 from hiersched.experiments import files
 from hiersched.experiments.gains import design_of, designs
 from hiersched.experiments.points import Point, experiments
@@ -16,9 +17,6 @@ from hiersched.experiments.tune import read_tuning
 from hiersched.scenario import Scenario
 from hiersched.simulator.gain_source import read_gains
 from hiersched.study.measure import RUN_TABLES, TASK_TABLES, measured_groups, table_file
-
-with naming_extras():
-    import pandas as pd
 
 
 class Study:
