@@ -256,3 +256,38 @@ def test_missing_files_are_named(tmp_path, config):
         find_scenario("papr")
     with pytest.raises(ScenarioError, match=r"gone\.yaml: cannot be read"):
         load_scenario("smoke", defaults=tmp_path / "gone.yaml")
+
+
+@pytest.mark.parametrize(
+    ("name", "kind", "meant"),
+    [
+        ("papr", "scenario", "paper"),
+        ("Smoke", "scenario", "smoke"),
+        ("smoke.yml", "file", "smoke"),
+        ("mine", "scenario", "mine.yaml"),
+        ("elsewhere/mine.yaml", "file", "mine.yaml"),
+        ("sub/tought.yaml", "file", "sub/taught.yaml"),
+        ("qqqqqqqq", "scenario", None),
+    ],
+)
+def test_an_unknown_scenario_says_which_was_meant(tmp_path, monkeypatch, name, kind, meant):
+    """One of the package, one here, or one in the folder that was named."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.yaml").touch()
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub/taught.yaml").touch()
+    with pytest.raises(ScenarioError) as caught:
+        find_scenario(name)
+    message = str(caught.value)
+    assert message.startswith(f"{name}: no such {kind}; there are: ")
+    assert " paper, pendulum, smoke, " in message
+    assert message.endswith("hiersched new DIR makes one)")
+    assert (f"; did you mean {meant}? (" in message) == (meant is not None)
+    assert ("did you mean" in message) == (meant is not None)
+
+
+def test_an_unknown_policy_says_which_was_meant(load_text):
+    with pytest.raises(ScenarioError, match=r"m_lwd is no policy; .*; did you mean m_lwdf\?"):
+        load_text("evaluate: {policies: [pf, m_lwd]}\n")
+    with pytest.raises(ScenarioError, match=r"'ddpgg': must be one of .*; did you mean ddpg\?"):
+        load_text("learning: {algorithm: ddpgg}\n")

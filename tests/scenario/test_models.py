@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 from hiersched.core import registry
+from hiersched.core.extras import EXTRA_OF
 from hiersched.core.registry import ALGORITHMS, PluginError, load_plugin
 from hiersched.experiments import dependencies
 from hiersched.experiments.points import experiments
@@ -92,7 +93,7 @@ def wanted(path, exponent="3.5", more=""):
     [
         (
             "radio: {path_loss: {model: mcro}}",
-            [r"radio.path_loss.model = 'mcro': must be one of none, macro ("],
+            ["radio.path_loss.model = 'mcro': must be one of none, macro; did you mean macro? ("],
         ),
         ("radio: {path_loss: {model: 3}}", ["radio.path_loss.model = 3: must be one of"]),
         (
@@ -260,7 +261,7 @@ def test_a_check_that_fails_itself_is_a_fault(load_text, plugin):
 def test_without_its_plugin_a_model_is_unknown(load_text):
     message = fails(load_text, "radio: {path_loss: {model: power_law, exponent: 3.5}}")
     assert "radio.path_loss.model = 'power_law': must be one of none, macro" in message
-    assert "where `plugins` names its file" in message
+    assert "one of a plug-in needs its file: `plugins: [file.py]`" in message
 
 
 def test_a_changed_file_is_run_again_and_an_unchanged_one_is_not(load_text, plugin):
@@ -293,6 +294,49 @@ def test_missing_files_are_all_named(load_text):
     lines = message.splitlines()
     assert [line.split(": ")[1] for line in lines] == ["plugins.0 = 'a.py'", "plugins.1 = 'b.txt'"]
     assert "no such Python file" in lines[0]
+
+
+def test_a_missing_plugin_says_where_it_was_looked_for_and_what_there_is(load_text, plugin):
+    """Beside the scenario and where the command runs, never in the package's own folders."""
+    path = plugin(POWER_LAW)
+    text = f"extends: smoke\nplugins: [{path.stem[:-1]}.py]\n"
+    message = fails(load_text, text)
+    assert f"no such Python file in {load_text.path.parent.resolve()}" in message
+    assert f"; did you mean {path.name}? (hiersched new DIR" in message
+    assert "hiersched/config" not in message
+    assert "did you mean" not in fails(load_text, "plugins: [qqqqqqqq.py]\n")
+
+
+@pytest.mark.parametrize(
+    ("name", "texts"),
+    [
+        ("scipyy.linalg", ["No module named 'scipyy'; did you mean scipy?", "pip install PACKAGE"]),
+        ("qqqqqqqq", ["No module named 'qqqqqqqq' (", "`plugins: [qqqqqqqq.py]`"]),
+        ("stable_baselines3", ["'stable_baselines3': pip install 'hiersched[sb3]'"]),
+    ],
+)
+def test_a_plugin_that_lacks_a_package_says_what_to_install(
+    load_text, plugin, monkeypatch, name, texts
+):
+    if name in EXTRA_OF:
+        monkeypatch.setattr(sys, "meta_path", [Missing(name), *sys.meta_path])
+    path = plugin(f"# one\n# two\nimport {name}\n")
+    line = path.read_text(encoding="utf-8").splitlines().index(f"import {name}") + 1
+    message = fails(load_text, wanted(path))
+    assert f"{path.name}, line {line}: ModuleNotFoundError: " in message
+    for text in texts:
+        assert text in message
+
+
+class Missing:
+    """Finds that a package is not installed."""
+
+    def __init__(self, name):
+        self.name = name
+
+    def find_spec(self, name, path=None, target=None):
+        if name == self.name:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
 
 @pytest.mark.parametrize("value", ["mine.py", "[3]", "{mine: py}"])
@@ -615,11 +659,20 @@ def test_a_policy_changes_the_jobs_in_which_it_runs(load_text, plugin):
         ('{import: "MINE"}', "policies.a.import = 'MINE'"),
         ('{import: "MINE:f g"}', "policies.a.import = 'MINE:f g'"),
         ('{import: "MINE:none"}', "policies.a.import = 'MINE:none': cannot be imported"),
+        (
+            '{import: "MINE:tail_rsk"}',
+            "cannot be imported: MINE has no tail_rsk; did you mean tail_",
+        ),
         ('{import: "no_such:none"}', "policies.a.import = 'no_such:none': cannot be imported"),
+        ('{import: "no_such:none"}', "is a plug-in itself: `plugins: [no_such.py]`"),
         ('{import: "MINE:NUMBER"}', "policies.a.import = 'MINE:NUMBER': must be a function"),
         (
             '{import: "MINE:tail_risk", rule: best}',
             "policies.a.rule = 'best': must be one of pf, pf_average",
+        ),
+        (
+            '{import: "MINE:tail_risk", rule: m_lwd}',
+            "drift_plus_penalty; did you mean m_lwdf?",
         ),
         ('{import: "MINE:tail_risk", parameters: 3}', "policies.a.parameters = 3"),
         ('{import: "MINE:tail_risk", parameters: {x: {y: 3}}}', "policies.a.parameters.x"),

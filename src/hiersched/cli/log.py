@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import math
+import shlex
+import sys
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -53,7 +55,10 @@ def _add_export_options(parser: argparse.ArgumentParser) -> None:
     for name, text in (
         ("csv", "as CSV; numbers read back to the same bits"),
         ("parquet", "as Parquet (needs pyarrow: the extra hiersched[study])"),
-        ("viewer", "poses and images for viewers as viewer.mcap, a layout as foxglove.json"),
+        (
+            "viewer",
+            "poses, trails and images as viewer.mcap, a layout for Foxglove as foxglove.json",
+        ),
     ):
         form.add_argument(f"--{name}", dest="form", action="store_const", const=name, help=text)
     parser.add_argument("--out", metavar="FOLDER", help="folder of the files (LOG without .mcap)")
@@ -210,6 +215,7 @@ def _export(parsed: argparse.Namespace) -> int:
     if parsed.form == "viewer":
         with blaming_input(FileExistsError):
             written = export_for_viewers(source, folder, overwrite=parsed.overwrite)
+        _note_what_is_left_out(parsed.log)
     else:
         rows = parsed.topic, parsed.start, parsed.stop
         with blaming_input((ValueError, FileExistsError)):
@@ -226,6 +232,7 @@ def _view(parsed: argparse.Namespace) -> int:
         with blaming_input(FileExistsError):
             refuse_existing(parsed.save, overwrite=parsed.overwrite)
     show_in_rerun(parsed.log, parsed.save)
+    _note_what_is_left_out(parsed.log)
     return 0
 
 
@@ -237,3 +244,17 @@ def _report(parsed: argparse.Namespace) -> int:
     with blaming_input((ValueError, FileExistsError)):
         print(write_log_page(source, out, parsed.start, parsed.stop, overwrite=parsed.overwrite))
     return 0
+
+
+def _note_what_is_left_out(path: str) -> None:
+    """Say that views of a small log have fewer panels, and how to have all of them."""
+    from hiersched.log import LogReader
+
+    with LogReader(path, verify="chunks") as log:
+        profile = log.profile
+    if profile != "full":
+        print(
+            f"{path}: a log of the profile {profile}, shown as far as it goes; for all panels make "
+            f"a full one: hiersched replay {shlex.quote(path)} --out full.mcap",
+            file=sys.stderr,
+        )

@@ -9,12 +9,14 @@ from numpy.typing import NDArray
 
 
 def user_colours(num_urllc: int, num_embb: int) -> NDArray[np.uint8]:
-    """One colour a user, shape (U, 3): URLLC from red to yellow, eMBB from cyan to blue."""
+    """One colour a user, shape (U, 3): URLLC from red to yellow, eMBB from green-blue to violet.
+
+    Neighbours differ in lightness, and all can be seen on black.
+    """
     hues = [
-        start + width * (i + 0.5) / count
-        for start, width, count in ((0.0, 0.17, num_urllc), (0.5, 0.2, num_embb))
+        (start + width * (i + 0.5) / count, dark + 0.17 * (i % 2))
+        for start, width, dark, count in ((0.0, 0.16, 0.5, num_urllc), (0.47, 0.3, 0.58, num_embb))
         for i in range(count)
     ]
-    value = [0.65 + 0.35 * (i % 2) for i in range(len(hues))]
-    rgb = [colorsys.hsv_to_rgb(hue, 0.85, v) for hue, v in zip(hues, value, strict=True)]
+    rgb = [colorsys.hls_to_rgb(hue, lightness, 0.85) for hue, lightness in hues]
     return np.round(255 * np.array(rgb)).astype(np.uint8).reshape(-1, 3)

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.metadata import packages_distributions
+
+from hiersched.core.faults import did_you_mean
 
 EXTRA_OF = {
     "torch": "learn",
@@ -29,11 +33,31 @@ class MissingExtraError(ImportError):
     """A package that an extra brings is not installed."""
 
     def __init__(self, package: str) -> None:
-        extra = EXTRA_OF[package]
         super().__init__(
-            f"this needs {package}, which is not installed: pip install 'hiersched[{extra}]'",
+            f"this needs {package}, which is not installed: {install_command(package)}",
             name=package,
         )
+
+
+def install_command(package: str) -> str:
+    """Return what to type for a package of `EXTRA_OF`."""
+    return f"pip install 'hiersched[{EXTRA_OF[package]}]'"
+
+
+def import_fault(error: Exception) -> str:
+    """Say why a file of a user's cannot be imported, and what to install where a package lacks."""
+    what = f"{type(error).__name__}: {error}"
+    if not isinstance(error, ModuleNotFoundError) or not error.name:
+        return what
+    package = error.name.partition(".")[0]
+    if package in EXTRA_OF:
+        return f"{what}: {install_command(package)}"
+    known = {*sys.stdlib_module_names, *packages_distributions()}
+    return (
+        f"{what}{did_you_mean(package, known)} (a package is installed where hiersched is: python "
+        "-m pip install PACKAGE; a file of your own lies beside the plug-in that imports it, or is "
+        f"a plug-in itself: `plugins: [{package}.py]`)"
+    )
 
 
 @contextmanager

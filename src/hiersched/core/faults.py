@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
+from difflib import get_close_matches
 from typing import TextIO
 
 
@@ -20,6 +21,17 @@ def blaming_input(
         yield
     except kinds as error:
         raise InputError(f"{prefix}{error}") from error
+
+
+def did_you_mean(name: str, names: Iterable[str], cutoff: float = 0.6) -> str:
+    """Ask, at the end of a message, for the one of some names that was probably meant, if any.
+
+    What is asked for is what a mapping has under the name. A higher `cutoff`, up to 1, asks for
+    more likeness.
+    """
+    found = get_close_matches(name, list(names), n=1, cutoff=cutoff)
+    shown = names if isinstance(names, Mapping) else {}
+    return f"; did you mean {shown.get(found[0], found[0])}?" if found else ""
 
 
 def printable(text: str) -> str:

@@ -10,6 +10,7 @@ import hashlib
 import importlib
 import importlib.util
 import sys
+import traceback
 from collections.abc import Callable, Iterator
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -17,6 +18,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any, Generic, TypeVar
 from weakref import WeakSet
+
+from hiersched.core.extras import import_fault
+from hiersched.core.faults import did_you_mean
 
 ENTRY_POINTS = "hiersched.models"
 """Group of the entry points that name plug-in modules."""
@@ -73,7 +77,7 @@ class Registry(Generic[T]):
         """Return the thing of a name; UnknownNameError, which lists the names, if there is none."""
         load_installed_plugins()
         if name not in self._found:
-            raise UnknownNameError(f"{self.kind} {name!r}: {self.allowed()}")
+            raise UnknownNameError(f"{self.kind} {name!r}: {self.allowed(name)}")
         thing = self._found[name]
         if isinstance(thing, str):
             module, _, attribute = thing.partition(":")
@@ -85,11 +89,11 @@ class Registry(Generic[T]):
         thing = self._found.get(name)
         return None if isinstance(thing, str) else thing
 
-    def allowed(self) -> str:
+    def allowed(self, name: object) -> str:
         """Say which names there are, for a message about another one."""
         return (
-            f"must be one of {', '.join(self)} (those of a plug-in are known where `plugins` names "
-            "its file)"
+            f"must be one of {', '.join(self)}{did_you_mean(str(name), self)} (one of a plug-in "
+            "needs its file: `plugins: [file.py]`)"
         )
 
     def __contains__(self, name: object) -> bool:
@@ -137,7 +141,7 @@ def _import_entry_point(point: EntryPoint) -> ModuleType:
         found = point.load()
     except Exception as error:
         raise PluginError(
-            f"entry point {point.name} = {point.value}: {type(error).__name__}: {error}"
+            f"entry point {point.name} = {point.value}: {import_fault(error)}"
         ) from error
     return found if isinstance(found, ModuleType) else sys.modules[found.__module__]
 
@@ -225,9 +229,19 @@ def _run(file: Path, path: Path, sha256: str) -> ModuleType:
     except Exception as error:
         _forget(path)
         del sys.modules[path.stem]
-        what = str(error) if isinstance(error, PluginError) else f"{type(error).__name__}: {error}"
-        raise PluginError(f"{file}: {what}") from error
+        what = str(error) if isinstance(error, PluginError) else import_fault(error)
+        raise PluginError(f"{file}{_line(error, path)}: {what}") from error
     return module
+
+
+def _line(error: Exception, path: Path) -> str:
+    """Return ``, line N``: the last one of a file that an error passed, if it passed any."""
+    lines = [
+        frame.lineno
+        for frame in traceback.extract_tb(error.__traceback__)
+        if Path(frame.filename) == path
+    ]
+    return f", line {lines[-1]}" if lines else ""
 
 
 def _forget(path: Path) -> None:

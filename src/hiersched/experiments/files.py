@@ -17,7 +17,7 @@ RUNS = "runs"
 """Runs of every experiment."""
 BOUND = "bound/slots.csv"
 """Exact optima of sampled slots, beside the decisions there."""
-CLAIMS = ("claims.json", "claims.md")
+CLAIMS = ("claims.json", "claims.md", "claims.html")
 """Verdicts on the paper's claims, to compute with and to read."""
 PAGE = "report.html"
 """All of it on one page: verdicts, figures, tables that sort, where everything comes from."""

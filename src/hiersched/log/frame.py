@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hiersched.core.extras import naming_extras
 from hiersched.log.reader import LogReader
 from hiersched.log.schema import EVENTS_TOPIC, MODELS_TOPIC
 
@@ -60,10 +61,13 @@ def topic_frame(
     ------
     LogError
         If the log has no such topic or field, or is damaged.
+    MissingExtraError
+        If there is no pandas.
     ValueError
         If the span runs backwards.
     """
-    import pandas as pd
+    with naming_extras():
+        import pandas as pd
 
     start, stop = slot_span(log, start_s, stop_s)
     if topic == EVENTS_TOPIC:

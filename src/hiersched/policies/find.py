@@ -12,6 +12,7 @@ from pydantic_core import PydanticCustomError
 
 from hiersched.allocation.exact import exact_allocation
 from hiersched.allocation.objective import slot_terms
+from hiersched.core.faults import did_you_mean
 from hiersched.core.parameters import STRICT, OwnKeys
 from hiersched.core.registry import UnknownNameError
 from hiersched.policies.files import FilePolicy, OnnxPolicy, PolicyFileError, Sb3Policy, Spaces
@@ -45,7 +46,9 @@ class ExactPolicy:
 def _compiled_rule(name: str) -> str:
     if name not in CLASSICAL:
         raise PydanticCustomError(
-            "unknown_rule", "must be one of {known}", {"known": ", ".join(CLASSICAL)}
+            "unknown_rule",
+            "must be one of {known}{meant}",
+            {"known": ", ".join(CLASSICAL), "meant": did_you_mean(name, CLASSICAL)},
         )
     return name
 
@@ -129,7 +132,8 @@ def find_policy(scenario: Scenario, name: str) -> Rule | Policy | Agent:
     if name == EXACT:
         return ExactPolicy()
     if name not in CLASSICAL:
-        known = ", ".join(untrained_names(scenario))
-        raise UnknownNameError(f"policy = {name!r}: must be one of {known}")
+        known = untrained_names(scenario)
+        text = f"must be one of {', '.join(known)}{did_you_mean(name, known)}"
+        raise UnknownNameError(f"policy = {name!r}: {text}")
     rule: Rule = RULES[name].standard(scenario)  # type: ignore[attr-defined]
     return rule

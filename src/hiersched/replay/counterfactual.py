@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from numpy.typing import NDArray
 
+from hiersched.core.faults import did_you_mean
 from hiersched.experiments.learned import runnable
 from hiersched.experiments.logged import BATCH_SLOTS, LoggedRun
 from hiersched.experiments.logging import RunLabel, log_block, open_log
@@ -52,6 +53,7 @@ def policy_of(run: LoggedRun, policy: str) -> NamedPolicy:
     known = [*names, *([] if run.policy in names else [run.policy])]
     raise ValueError(
         f"policy = {policy!r}: must be one of {', '.join(known)}, or a file of weights"
+        f"{did_you_mean(policy, known)}"
     )
 
 

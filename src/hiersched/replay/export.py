@@ -73,15 +73,16 @@ def export_for_viewers(
 ) -> list[Path]:
     """Write what Foxglove and other viewers open beside a log into a folder, which is made.
 
-    ``viewer.mcap`` has poses and images of the allocation, ``foxglove.json`` a layout for both
-    files. LogError if the log is damaged, or lacks what is to be drawn; FileExistsError if one of
-    the files is there already, unless told to `overwrite` it.
+    ``viewer.mcap`` has poses, trails and images of the allocation, ``foxglove.json`` a layout for
+    both files: of what the log has fields for. LogError if the log is damaged or has no
+    slots; FileExistsError if one of the files is there already, unless told to `overwrite` it.
     """
-    from hiersched.replay.view import foxglove_layout
+    from hiersched.replay.foxglove import foxglove_layout
+    from hiersched.replay.panels import panels_of
     from hiersched.replay.viewer_topics import write_viewer_topics
 
     with LogReader(path) as log:
-        layout = foxglove_layout(log.dims)
+        layout = foxglove_layout(panels_of(log))
     topics, plan = Path(folder, "viewer.mcap"), Path(folder, "foxglove.json")
     refuse_existing(topics, plan, overwrite=overwrite)
     topics.parent.mkdir(parents=True, exist_ok=True)

@@ -1,76 +1,58 @@
-"""Logs in viewers: a blueprint for Rerun, a layout for Foxglove."""
+"""Logs in Rerun: a blueprint, and what is drawn beside the log."""
 
 from __future__ import annotations
 
+import math
 import os
 import tempfile
+from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from hiersched.core.colours import user_colours
-from hiersched.log import LogDims, LogReader
+from hiersched.core.extras import naming_extras
+from hiersched.log import LogReader
 from hiersched.log.schema import TOPICS
+from hiersched.replay.panels import TITLES, Panels, Plot, lines_of, panels_of
 from hiersched.replay.viewer_topics import (
     FRAME,
     IMAGE_TOPIC,
-    pose_topics,
+    TRAIL_Z_M,
+    read_tracks,
+    track_topic,
+    trail_topic,
+    trails,
     write_viewer_topics,
 )
 
 APPLICATION = "hiersched"
+TIMELINE = "message_log_time"
+"""Simulated time from 0, as Rerun calls the log time of messages."""
+
+_VIEW_RAD = math.radians(55.0)
+"""Vertical field of view of Rerun's camera."""
+_MARKS = {"pose": (1.0, 6.0, 1.2), "reference": (0.5, 3.5, 3.0), "set_point": (0.75, 4.5, 2.0)}
+"""Of each track: share of the user's colour, the rest is grey; radii of point and trail [points]"""
+_GREY = 40.0
 
 
-class Plot(NamedTuple):
-    """A plot over time of one field: a line for each user, or for each robot."""
-
-    title: str
-    topic: str
-    field: str
-
-
-PLOTS = (
-    Plot("Queue [packets]", "/queue", "backlog_packets"),
-    Plot("Wait of the oldest packet [s]", "/delay", "hol_delay_s"),
-    Plot("Late packets in the slot", "/delay", "late_packets"),
-    Plot("Packets superseded in the slot", "/queue", "superseded_packets"),
-    Plot("Network delay [samples]", "/robots", "delay_steps"),
-    Plot("Gain in force [samples]", "/robots", "gain_delay_steps"),
-    Plot("Age of the set-point in force [s]", "/robots", "set_point_age_s"),
-    Plot("Tracking error [m]", "/robots", "tracking_error_m"),
-)
-
-
-def series_names(plot: Plot, dims: LogDims) -> list[str]:
-    """Names of a plot's lines."""
-    field = next(f for f in TOPICS[plot.topic].fields if f.name == plot.field)
-    if field.shape == ("R",):
-        return [f"robot {i}" for i in range(dims.num_urllc)]
-    urllc, embb = dims.num_urllc, dims.num_embb
-    return [f"URLLC {i}" for i in range(urllc)] + [f"eMBB {urllc + i}" for i in range(embb)]
-
-
-def rerun_blueprint(dims: LogDims) -> Any:
+def rerun_blueprint(panels: Panels) -> Any:
     """Lay out the views of Rerun: plots, the plane with the robots, the allocation, the events.
 
-    Returns a `rerun.blueprint.Blueprint`, to be sent with the data; ImportError without rerun-sdk.
+    Returns a `rerun.blueprint.Blueprint`, to be sent with the data. MissingExtraError without
+    rerun-sdk.
     """
-    import rerun.blueprint as rrb
+    with naming_extras():
+        import rerun.blueprint as rrb
 
-    plots = [_time_series(plot, dims) for plot in PLOTS]
-    scene = rrb.Spatial3DView(
-        name="Robots and references",
-        origin="/robots",
-        contents=[f"+ {topic}" for pair in pose_topics(dims.num_posed) for topic in pair],
-        spatial_information=rrb.SpatialInformation(target_frame=FRAME),
-    )
-    image = rrb.Spatial2DView(name="PRBs by owner: last 100 slots", origin=IMAGE_TOPIC)
-    events = rrb.TextLogView(name="Events", origin="/events")
-    rows = rrb.Grid(*plots, grid_columns=4), rrb.Horizontal(scene, image, events)
+    rows = [[_time_series(plot, panels) for plot in row] for row in panels.rows]
+    below = list(_views_below(panels))
+    rows += [below] if below else []
     return rrb.Blueprint(
-        rrb.Vertical(*rows, row_shares=[2, 1]),
-        rrb.TimePanel(timeline="message_log_time", state="collapsed"),
+        rrb.Vertical(*(rrb.Horizontal(*row) for row in rows)),
+        rrb.TimePanel(timeline=TIMELINE, state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
         auto_views=False,
@@ -78,110 +60,127 @@ def rerun_blueprint(dims: LogDims) -> Any:
     )
 
 
-def _time_series(plot: Plot, dims: LogDims) -> Any:
-    """Plot one field of a topic's message."""
+def _views_below(panels: Panels) -> Iterator[Any]:
+    """Yield the views below the plots."""
+    import rerun.blueprint as rrb
+
+    if panels.tracks:
+        topics = [
+            topic(robot, track)
+            for robot in range(panels.dims.num_posed)
+            for track in panels.tracks
+            for topic in (track_topic, trail_topic)
+        ]
+        (x, y), (width, height) = panels.centre, panels.size
+        distance = 1.2 * max(height, width / 1.6, 0.5) / (2 * math.tan(_VIEW_RAD / 2))
+        yield rrb.Spatial3DView(
+            name=TITLES["plane"],
+            origin="/robots",
+            contents=[f"+ {topic}" for topic in topics],
+            spatial_information=rrb.SpatialInformation(target_frame=FRAME),
+            eye_controls=rrb.EyeControls3D(
+                position=(x, y, distance), look_target=(x, y, 0.0), eye_up=(0.0, 1.0, 0.0)
+            ),
+        )
+    if panels.has_image:
+        yield rrb.Spatial2DView(name=TITLES["image"], origin=IMAGE_TOPIC)
+    if panels.has_events:
+        yield rrb.TextLogView(name=TITLES["events"], origin="/events")
+
+
+def _time_series(plot: Plot, panels: Panels) -> Any:
+    """Plot fields of a topic's message."""
     import rerun as rr
     import rerun.blueprint as rrb
     from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
 
-    mapping = VisualizerComponentMapping(
-        target="Scalars:scalars",
-        source_kind=ComponentSourceKind.SourceComponent,
-        source_component=f"{TOPICS[plot.topic].message}:message",
-        selector=f".{plot.field}[]",
-    )
-    lines = rr.SeriesLines(names=series_names(plot, dims))
+    lines = lines_of(plot, panels.dims)
+    visualizers = []
+    for field in plot.fields:
+        own = [line for line in lines if line.field == field]
+        mapping = VisualizerComponentMapping(
+            target="Scalars:scalars",
+            source_kind=ComponentSourceKind.SourceComponent,
+            source_component=f"{TOPICS[plot.topic].message}:message",
+            selector=f".{field}" if own[0].place is None else f".{field}[]",
+        )
+        look = rr.SeriesLines(names=[x.name for x in own], colors=[x.colour for x in own])
+        visualizers.append(look.visualizer(mappings=[mapping]))
     return rrb.TimeSeriesView(
         name=plot.title,
         origin=plot.topic,
         contents=[f"+ {plot.topic}"],
-        overrides={plot.topic: lines.visualizer(mappings=[mapping])},
+        axis_x=rrb.TimeAxis(link="LinkToGlobal"),
+        plot_legend=rrb.PlotLegend("LeftTop", visible=panels.has_legend(plot)),
+        overrides={plot.topic: visualizers},
     )
 
 
-def show_in_rerun(path: str | os.PathLike[str], save: str | os.PathLike[str] | None = None) -> None:
-    """Open a log in Rerun, with the poses and images that the log does not have.
+def show_in_rerun(
+    path: str | os.PathLike[str], save: str | os.PathLike[str] | None = None
+) -> Panels:
+    """Open a log in Rerun, with the poses, trails and images that the log does not have.
 
-    With `save` a recording (``.rrd``) that opens with the same views is written instead.
-    ImportError without rerun-sdk, LogError if the log is damaged.
+    With `save` a recording (``.rrd``) that opens with the same views is written instead. Time
+    begins at 0. What the log has no fields for is left out; returns what is shown.
+    MissingExtraError without rerun-sdk, LogError if the log is damaged or has no slots.
     """
-    import rerun as rr
-    from rerun.chunk import McapReader
+    with naming_extras():
+        import rerun as rr
+        from rerun.chunk import McapReader
 
     with LogReader(path) as log:
-        dims = log.dims
+        panels = panels_of(log)
     recording = rr.RecordingStream(APPLICATION)
     part = None if save is None else Path(f"{os.fspath(save)}.part")
     if part is None:
-        recording.spawn(default_blueprint=rerun_blueprint(dims))
+        recording.spawn(default_blueprint=rerun_blueprint(panels))
     else:
-        recording.save(part, default_blueprint=rerun_blueprint(dims))
+        recording.save(part, default_blueprint=rerun_blueprint(panels))
     with tempfile.TemporaryDirectory() as folder:
         viewer = Path(folder, "viewer.mcap")
         write_viewer_topics(path, viewer)
         for file in (path, viewer):
-            recording.send_chunks(McapReader(file).stream())
-    _mark_robots(recording, dims)
+            reader = McapReader(file, timeline_type="duration", exclude_topic_regex=["_trail$"])
+            recording.send_chunks(reader.stream())
+    with LogReader(path) as log:
+        _draw_robots(recording, log)
     recording.flush()
     recording.disconnect()
     if part is not None:
         os.replace(part, os.fspath(save or ""))
+    return panels
 
 
-def _mark_robots(recording: Any, dims: LogDims) -> None:
-    """Give every pose a mark to be drawn with.
+def _draw_robots(recording: Any, log: LogReader) -> None:
+    """Give every pose a mark to be drawn with, and every track its trails, as lines.
 
-    Robots have their user's colour, references are grey, set-points in force black.
+    All of a robot have its user's colour: it the colour itself, reference and set-point paler.
     """
     import rerun as rr
 
-    colours = user_colours(dims.num_urllc, dims.num_embb)
-    for robot, topics in enumerate(pose_topics(dims.num_posed)):
-        marks = (colours[robot], 0.2), (160, 0.1), (0, 0.05)
-        for topic, (colour, radius) in zip(topics, marks, strict=True):
-            recording.log(
-                topic,
-                rr.Points3D([[0.0, 0.0, 0.0]], colors=[[*np.broadcast_to(colour, 3)]], radii=radius,
-                            labels=f"robot {robot}", show_labels=radius > 0.1),
-                static=True,
-            )  # fmt: skip
-
-
-def foxglove_layout(dims: LogDims) -> dict[str, Any]:
-    """Lay out the panels of Foxglove (and Lichtblick): the views of Rerun, as JSON to import."""
-    configs: dict[str, Any] = {}
-    line = {"enabled": True, "timestampMethod": "receiveTime"}
-    for number, plot in enumerate(PLOTS):
-        paths = [
-            {"value": f"{plot.topic}.{plot.field}[{i}]", "label": name, **line}
-            for i, name in enumerate(series_names(plot, dims))
-        ]
-        panel = {"title": plot.title, "paths": paths, "showLegend": False, "isSynced": True}
-        configs[f"Plot!{number}"] = panel
-    topics = [topic for pair in pose_topics(dims.num_posed) for topic in pair]
-    configs["3D!0"] = {"topics": {topic: {"visible": True} for topic in topics}}
-    configs["Image!0"] = {"imageMode": {"imageTopic": IMAGE_TOPIC}}
-    configs["RosOut!0"] = {"topicToRender": "/events"}
-    rows = _stack(
-        [_stack([f"Plot!{i}" for i in row], "row") for row in ((0, 1, 2, 3), (4, 5, 6, 7))]
-    )
-    below = _stack(["3D!0", "Image!0", "RosOut!0"], "row")
-    return {
-        "configById": configs,
-        "globalVariables": {},
-        "userNodes": {},
-        "playbackConfig": {"speed": 1},
-        "layout": _stack([rows, below]),
-    }
-
-
-def _stack(parts: list[Any], direction: str = "column") -> Any:
-    """Share the space evenly among panels, as a tree of pairs."""
-    if len(parts) == 1:
-        return parts[0]
-    return {
-        "first": parts[0],
-        "second": _stack(parts[1:], direction),
-        "direction": direction,
-        "splitPercentage": 100.0 / len(parts),
-    }
+    colours = user_colours(log.dims.num_urllc, log.dims.num_embb)
+    tracks = read_tracks(log)
+    times = log.read("/robots", [])["slot"] * log.slot_ns if tracks else np.empty(0, np.uint64)
+    for name, track in tracks.items():
+        share, radius, width = _MARKS[name]
+        found = list(trails(track, log.slot_ns * 1e-9))
+        ends = times[[index for index, _ in found]].astype("timedelta64[ns]")
+        time = rr.TimeColumn(TIMELINE, duration=ends)
+        for robot in range(track.shape[1]):
+            colour = np.round(share * colours[robot] + (1.0 - share) * _GREY).astype(int).tolist()
+            mark = rr.Points3D(
+                [[0.0, 0.0, 0.0]],
+                colors=[colour],
+                radii=rr.Radius.ui_points(radius),
+                labels=f"robot {robot}",
+                show_labels=name == "pose",
+            )
+            recording.log(track_topic(robot, name), mark, static=True)
+            strips = [
+                np.insert(trail[:, robot, :2], 2, TRAIL_Z_M[name], axis=1) for _, trail in found
+            ]
+            entity = trail_topic(robot, name)
+            look = rr.LineStrips3D.from_fields(colors=[colour], radii=rr.Radius.ui_points(width))
+            recording.log(entity, look, rr.CoordinateFrame(FRAME), static=True)
+            recording.send_columns(entity, [time], rr.LineStrips3D.columns(strips=strips))

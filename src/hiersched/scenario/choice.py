@@ -42,7 +42,7 @@ def _choose(section: Section, value: Any) -> Model:
         raise _fault("missing", "Field required", {"model": None}, "model")
     name = value["model"]
     if not isinstance(name, str) or name not in section:
-        raise _fault("unknown_model", section.allowed(), value, "model")
+        raise _fault("unknown_model", section.allowed(value.get("model")), value, "model")
     return read_strictly(section[name], value)
 
 

@@ -12,6 +12,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from hiersched.core.extras import import_fault
+from hiersched.core.faults import did_you_mean
 from hiersched.core.parameters import no_multiple, read_strictly
 from hiersched.core.registry import ALGORITHMS, BUILT_IN_ALGORITHMS
 from hiersched.models.model import SECTIONS
@@ -396,12 +398,14 @@ def _import_faults(key: str, policy: ImportedPolicy) -> list[str]:
     source = policy.source
     module, _, name = source.partition(":")
     try:
-        found = getattr(import_module(module), name)
+        names = vars(import_module(module))
     except Exception as error:
-        return [
-            f"{key}.import = {source!r}: cannot be imported: {type(error).__name__}: {error} "
-            "(name its file under `plugins`)"
-        ]
+        return [f"{key}.import = {source!r}: cannot be imported: {import_fault(error)}"]
+    if name not in names:
+        own = [other for other, thing in names.items() if callable(thing)]
+        fault = f"cannot be imported: {module} has no {name}{did_you_mean(name, own)}"
+        return [f"{key}.import = {source!r}: {fault}"]
+    found = names[name]
     if not callable(found):
         return [f"{key}.import = {source!r}: must be a function"]
     try:
@@ -523,7 +527,7 @@ def _algorithm(section: str, learning: Learning) -> list[str]:
     """List an algorithm that nobody has registered, or keys that are not its own."""
     name, place, parameters = learning.algorithm, f"{section}.parameters", learning.parameters
     if name not in ALGORITHMS:
-        return [f"{section}.algorithm = {name!r}: {ALGORITHMS.allowed()}"]
+        return [f"{section}.algorithm = {name!r}: {ALGORITHMS.allowed(name)}"]
     found = None if name in BUILT_IN_ALGORITHMS else ALGORITHMS.loaded(name)
     if found is None and name not in BUILT_IN_ALGORITHMS:
         return []  # an installed one that is imported when it trains
@@ -545,6 +549,7 @@ def _policies(scenario: Scenario, key: str, policies: tuple[str, ...]) -> list[s
     for policy in policies:
         if policy not in known:
             fault = f"{policy} is no policy; allowed: {', '.join(known)}"
+            fault += did_you_mean(policy, known)
             if policy in ALGORITHMS:
                 fault = (
                     f"{policy} is not trained where learning.algorithm = "

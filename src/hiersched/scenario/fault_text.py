@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
-from difflib import get_close_matches
 from functools import reduce
 from operator import getitem
 from pathlib import Path
@@ -13,7 +12,7 @@ from typing import Any, get_type_hints
 
 from pydantic import ValidationError
 
-from hiersched.core.faults import InputError
+from hiersched.core.faults import InputError, did_you_mean
 from hiersched.models.model import SECTIONS, Section
 from hiersched.policies.files import FILE_POLICIES
 from hiersched.policies.registry import RULES
@@ -95,10 +94,7 @@ def _fault(
 def meant(name: str, allowed: Sequence[str]) -> str:
     """Ask for the key that was probably meant: one much like it here, or its like elsewhere."""
     elsewhere = {key: f"{place}.{key}" for place, keys in section_keys().items() for key in keys}
-    found = get_close_matches(name, allowed, n=1) or [
-        elsewhere[key] for key in get_close_matches(name, elsewhere, n=1, cutoff=0.8)
-    ]
-    return f"; did you mean {found[0]}?" if found else ""
+    return did_you_mean(name, allowed) or did_you_mean(name, elsewhere, cutoff=0.8)
 
 
 def _holds(data: Any, location: Location) -> bool:

@@ -13,6 +13,7 @@ from typing import Any
 import yaml
 from pydantic import TypeAdapter, ValidationError
 
+from hiersched.core.faults import did_you_mean
 from hiersched.models.model import SECTIONS
 from hiersched.policies.files import PolicyFileError
 from hiersched.scenario.consistency import inconsistencies
@@ -77,7 +78,8 @@ def _merge(base: Mapping[str, Any], overlay: Mapping[str, Any]) -> dict[str, Any
 def find_scenario(name_or_path: str | Path) -> Path:
     """Path of a scenario given by the name of a shipped one or by path.
 
-    ScenarioError if there is no such file; the message lists the scenarios that exist.
+    ScenarioError if there is no such file; the message lists the scenarios that exist, and asks for
+    the one, or the file here or in the folder of the path, that was probably meant.
     """
     path = Path(name_or_path)
     shipped = {file.stem: file for file in sorted((CONFIG / "scenarios").glob("*.yaml"))}
@@ -90,9 +92,13 @@ def find_scenario(name_or_path: str | Path) -> Path:
             return path
     except OSError as error:
         raise ScenarioError(f"{str(path)[:200]}: cannot be read: {error.strerror}") from error
-    if path.suffix in (".yaml", ".yml"):
-        raise ScenarioError(f"{path}: no such file")
-    raise ScenarioError(f"{path}: no such scenario; there are: {', '.join(shipped)}")
+    folders = [folder for folder in (path.parent, Path()) if folder.is_dir()]
+    here = {file.stem: str(file) for folder in folders for file in folder.glob("*.y*ml")}
+    raise ScenarioError(
+        f"{path}: no such {'file' if path.suffix in ('.yaml', '.yml') else 'scenario'}; there are: "
+        f"{', '.join(shipped)}{did_you_mean(path.stem, here | {stem: stem for stem in shipped})} "
+        "(one of your own is a YAML file, given by its path: hiersched new DIR makes one)"
+    )
 
 
 def _read_overlays(path: Path) -> list[tuple[Path, dict[str, Any]]]:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from types import ModuleType
 
+from hiersched.core.faults import did_you_mean
 from hiersched.core.registry import PluginError, load_installed_plugins, load_plugin
 from hiersched.scenario.schema import Scenario
 
@@ -30,10 +31,23 @@ def load_plugins(names: Sequence[str], files: Sequence[Path]) -> list[str]:
     for place, name in enumerate(names):
         try:
             found = next((f / name for f in folders if (f / name).is_file()), None)
-            load_plugin(folders[0] / name if found is None else found)
+            if found is None:
+                raise PluginError(_missing(name, folders))
+            load_plugin(found)
         except (PluginError, OSError, ValueError) as error:
             faults.append(f"plugins.{place} = {name!r}: {error}")
     return faults
+
+
+def _missing(name: str, folders: Sequence[Path]) -> str:
+    """Say that there is no such plug-in, and what there is where it was looked for."""
+    own = [folder.resolve() for folder in folders if CONFIG not in (folder, folder.parent)]
+    looked = dict.fromkeys(map(str, own))
+    files = [file.name for folder in looked for file in sorted(Path(folder).glob("*.py"))]
+    return (
+        f"no such Python file in {' or '.join(looked)}{did_you_mean(name, files)} (hiersched new "
+        "DIR makes one)"
+    )
 
 
 def plugin_modules(scenario: Scenario) -> dict[str, ModuleType]:

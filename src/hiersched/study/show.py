@@ -5,10 +5,14 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hiersched.scenario import Scenario
-from hiersched.study.registry import CLAIMS, FIGURES, TABLES
+from hiersched.study.registry import CLAIMS, FIGURES, TABLES, Shown
 from hiersched.study.study import Study
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def show(scenario: Scenario, results: Path, kind: str, name: str, module: str) -> None:
@@ -20,10 +24,8 @@ def show(scenario: Scenario, results: Path, kind: str, name: str, module: str) -
         import_module(module)
     study = Study(scenario, results)
     if kind == "table":
-        from hiersched.study.tables.text import write_table
-
         shown = TABLES[name]
-        write_table(shown, shown.build(study), results / "tables")
+        write_table(shown, shown.build(study), results / "tables", scenario)
     elif kind == "figure":
         from hiersched.study.figures.style import house_style, save_figure
 
@@ -34,3 +36,18 @@ def show(scenario: Scenario, results: Path, kind: str, name: str, module: str) -
 
         shown = CLAIMS[name]
         write_json(results / f"claims/{name}.json", claim_json(shown, shown.build(study)))
+
+
+def write_table(shown: Shown, content: pd.DataFrame, folder: Path, scenario: Scenario) -> None:
+    """Write a table: CSV, and HTML and Markdown unless it has no columns to read."""
+    from hiersched.core.files import csv_text, write_bytes
+    from hiersched.study.tables.html import table_page
+    from hiersched.study.tables.text import markdown_text
+
+    write_bytes(folder / f"{shown.name}.csv", csv_text(content).encode())
+    if shown.columns != ():
+        columns = shown.columns or content.columns
+        read = content[[name for name in columns if name in content]]
+        text = markdown_text(read, shown.title, shown.note)
+        write_bytes(folder / f"{shown.name}.md", text.encode())
+        write_bytes(folder / f"{shown.name}.html", table_page(shown, read, scenario).encode())

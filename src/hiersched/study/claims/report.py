@@ -13,6 +13,7 @@ from hiersched.scenario import Scenario
 from hiersched.study.claims.verdicts import RULE, Condition, Judged, Statement
 from hiersched.study.registry import Shown
 from hiersched.study.statistics import LEVEL
+from hiersched.study.tables.html import claims_page
 from hiersched.study.tables.text import interval_text
 
 BEGIN, END = "<!-- claims: begin -->", "<!-- claims: end -->"
@@ -45,7 +46,7 @@ def write_json(path: Path, document: JsonObject) -> None:
 
 
 def join_claims(scenario: Scenario, results: Path, names: Sequence[str]) -> None:
-    """Put the claims of a study together: ``claims.json`` and ``claims.md``."""
+    """Put the claims of a study together: ``claims.json``, ``claims.md`` and ``claims.html``."""
     claims = [
         json.loads((results / f"claims/{name}.json").read_text(encoding="utf-8")) for name in names
     ]
@@ -53,6 +54,7 @@ def join_claims(scenario: Scenario, results: Path, names: Sequence[str]) -> None
     document = {"scenario": scenario.name, "level": LEVEL, "rule": RULE, "claims": claims}
     write_json(results / "claims.json", document)
     write_bytes(results / "claims.md", claims_markdown(claims, scenario).encode())
+    write_bytes(results / "claims.html", claims_page(claims, RULE, scenario).encode())
 
 
 def claims_markdown(claims: Sequence[JsonObject], scenario: Scenario) -> str:

@@ -1,1 +1,6 @@
 """Figures of a study."""
+
+from hiersched.core.extras import naming_extras
+
+with naming_extras():
+    import matplotlib as matplotlib

@@ -22,7 +22,7 @@ from hiersched.experiments.fingerprint import PACKAGE_FOLDER
 from hiersched.experiments.points import experiments
 from hiersched.scenario import Scenario, scenario_sha256, scenario_to_yaml
 from hiersched.study.built_in import shown
-from hiersched.study.page.headings import heading
+from hiersched.study.headings import heading
 from hiersched.study.registry import FIGURES, TABLES, Shown
 from hiersched.study.tables.text import cell_text, interval_text, merged_columns
 

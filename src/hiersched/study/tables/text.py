@@ -1,15 +1,11 @@
-"""Writes a table, as CSV with full precision and as Markdown to read."""
+"""Tables as text: CSV with full precision, Markdown to read."""
 
 from __future__ import annotations
 
 import math
-from pathlib import Path
 from typing import Any
 
 import pandas as pd
-
-from hiersched.core.files import csv_text, write_bytes
-from hiersched.study.registry import Shown
 
 SEEDS_NOTE = "Means over seeds, in brackets their Student t 95 % intervals."
 LOGGED_NOTE = (
@@ -44,16 +40,6 @@ TROUBLE_NOTE = (
     "Shares of robots: `off_track`, over 10 cm in a window; `saturated`, at a control limit for "
     "half of one. All robots are in the means."
 )
-
-
-def write_table(shown: Shown, content: pd.DataFrame, folder: Path) -> None:
-    """Write a table into ``tables/``: CSV, and Markdown unless it has no columns to read."""
-    write_bytes(folder / f"{shown.name}.csv", csv_text(content).encode())
-    if shown.columns != ():
-        columns = shown.columns or content.columns
-        read = content[[name for name in columns if name in content]]
-        text = markdown_text(read, shown.title, shown.note)
-        write_bytes(folder / f"{shown.name}.md", text.encode())
 
 
 def markdown_text(table: pd.DataFrame, title: str, note: str) -> str:
@@ -114,7 +100,7 @@ def cell_text(value: Any) -> str:
     """Return a cell: numbers with four significant digits, no number as a dash."""
     if isinstance(value, bool) or not isinstance(value, float):
         return str(value).replace("|", "\\|")
-    return f"{value:.4g}" if math.isfinite(value) else "–"
+    return _rounded(value, 4) if math.isfinite(value) else "–"
 
 
 def _alignment(table: pd.DataFrame, name: str) -> str:

@@ -1,8 +1,10 @@
 # What all rules share: the scenarios, checked before anything runs, and where files lie.
 
 import os
+import re
 import shlex
 import sys
+import textwrap
 from pathlib import Path
 
 from hiersched.core.faults import printable

@@ -16,8 +16,31 @@ def shown_names(kind, thing):
     """Files of a table or a figure: the one that the report shows, and others."""
     if kind == "figure":
         return [f"figures/{thing.name}.{end}" for end in ("svg", "png")]
-    ends = ("csv",) if thing.columns == () else ("csv", "md")
+    ends = ("csv",) if thing.columns == () else ("html", "csv", "md")
     return [f"tables/{thing.name}.{end}" for end in ends]
+
+
+def shown_caption(thing):
+    """Title and note as reStructuredText: what stands between backquotes is code."""
+    parts = f"{thing.title.rstrip('.')}. {thing.note}".split("`")
+    return "".join(
+        f"``{part}``" if place % 2 else re.sub(r"([*|_\\])", r"\\\1", part)
+        for place, part in enumerate(parts)
+    ).strip()
+
+
+def in_report(scenario, kind, thing, name):
+    """A file that the report shows under its title; a table to compute with stays out."""
+    path = ensure(f"{folder(scenario)}/{name}", non_empty=True)
+    if name.endswith(".csv"):
+        return path
+    return report(
+        path,
+        caption=f"../report/{kind}.rst",
+        category=scenario.name,
+        subcategory=f"{kind.capitalize()}s",
+        labels={kind.capitalize(): textwrap.shorten(thing.title, 64, placeholder=" …")},
+    )
 
 
 def show_arguments(scenario, kind, thing):
@@ -81,20 +104,14 @@ for s in SCENARIOS:
                 input:
                     inside(s, Study.sources(s, thing.reads)),
                 output:
-                    report(
-                        ensure(f"{folder(s)}/{first}", non_empty=True),
-                        caption=f"../report/{kind}.rst",
-                        category=s.name,
-                        subcategory=f"{kind.capitalize()}s",
-                        labels={kind: thing.name},
-                    ),
+                    in_report(s, kind, thing, first),
                     whole(s, others),
                 log:
                     f"{folder(s)}/logs/{kind}_{thing.name}.log",
                 threads: 1
                 params:
                     spec=shown_spec(s, kind, thing),
-                    caption=thing.title,
+                    caption=shown_caption(thing),
                     args=show_arguments(s, kind, thing),
                 message:
                     f"{'Writing' if kind == 'table' else 'Drawing'} {kind} {thing.name} of {s.name}"
@@ -129,16 +146,14 @@ for s in SCENARIOS:
             input:
                 inside(s, [f"claims/{name}.json" for name in shown(CLAIMS, s)]),
             output:
-                [
-                    report(
-                        ensure(name, non_empty=True),
-                        caption="../report/claims.rst",
-                        category=s.name,
-                        subcategory="Claims",
-                        labels={"claims": name},
-                    )
-                    for name in inside(s, files.CLAIMS)
-                ],
+                whole(s, files.CLAIMS[:-1]),
+                report(
+                    ensure(f"{folder(s)}/{files.CLAIMS[-1]}", non_empty=True),
+                    caption="../report/claims.rst",
+                    category=s.name,
+                    subcategory="Claims",
+                    labels={"Claims": "Verdicts"},
+                ),
             log:
                 f"{folder(s)}/logs/claims.log",
             threads: 1
