@@ -14,9 +14,9 @@ import pytest
 from hiersched.experiments import files
 from hiersched.scenario import Scenario
 from hiersched.study.built_in import shown
+from hiersched.study.headings import heading
 from hiersched.study.page import write_study_page
 from hiersched.study.page.build import MOST_SVG_BYTES, _ranges
-from hiersched.study.headings import heading
 from hiersched.study.registry import CLAIMS, FIGURES, TABLES
 
 BAD = "<img src=x onerror='window.hacked=1'><script>window.hacked=1</script>"
