@@ -15,11 +15,11 @@ import numpy as np
 import pytest
 
 from hiersched.cli import main
+from hiersched.core.colours import user_colours
 from hiersched.log import LogDims, LogReader, LogWriter, log_digest
 from hiersched.log.schema import topics_in
 from hiersched.replay.page import write_log_page
 from hiersched.replay.page.build import extremes, log_content, readable_colours
-from hiersched.replay.viewer_topics import user_colours
 
 DIMS = LogDims(num_urllc=3, num_embb=2, num_prb=7)
 SLOTS = 400

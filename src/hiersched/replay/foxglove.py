@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from hiersched.core.colours import user_colours
 from hiersched.replay.panels import TITLES, Panels, Plot, lines_of
 from hiersched.replay.viewer_topics import (
     FRAME,
     IMAGE_TOPIC,
     track_topic,
     trail_topic,
-    user_colours,
 )
 
 _TITLE_KEYS = ("foxglovePanelTitle", "lichtblickPanelTitle")

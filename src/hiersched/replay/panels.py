@@ -6,9 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hiersched.core.colours import user_colours
 from hiersched.log import LogDims, LogError, LogReader
 from hiersched.log.schema import TOPICS
-from hiersched.replay.viewer_topics import TRACKS, has_owners, read_tracks, user_colours
+from hiersched.replay.viewer_topics import TRACKS, has_owners, read_tracks
 
 Colour = tuple[int, int, int]
 

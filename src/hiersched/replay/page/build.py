@@ -16,12 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from yaml import YAMLError
 
+from hiersched.core.colours import user_colours
 from hiersched.core.fields import FIELDS
 from hiersched.core.files import refuse_existing, write_bytes
 from hiersched.core.html import asset, page
 from hiersched.log import Event, LogReader, log_digest, slot_span
 from hiersched.log.schema import MODELS_TOPIC
-from hiersched.replay.viewer_topics import user_colours
 from hiersched.scenario.strict_yaml import parse_yaml
 
 MAX_SLOTS = 10_000
