@@ -225,6 +225,9 @@ def test_logs_say_which_file_and_replay_without_opening_it(graph, saved_model, c
         assert "every bit the same" in said
         assert "decisions are those of the log" in said
         assert main(["info", log]) == 0
+        said = capsys.readouterr().out
+        for key, (name, sha256) in scenario.policies[Path(log).parent.name].files.items():
+            assert f"policy      {key} {name} (sha256 {sha256[:16]})" in said
     capsys.readouterr()
     open_graph.cache_clear()  # else the graph that this process has opened decides
     for name, log in logs.items():

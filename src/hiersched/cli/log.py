@@ -125,6 +125,10 @@ def _origin(log: LogReader) -> list[str]:
         f"duration    {log.num_slots} slots of {log.slot_ns / 1e6:g} ms: "
         f"{log.num_slots * log.slot_ns / 1e9:g} s",
     ]
+    for key in ("sb3", "vec_normalize", "onnx"):
+        if name := text.get(f"policy_{key}"):
+            sha256 = text.get(f"policy_{key}_sha256", "?")[:16]
+            lines.insert(2, f"policy      {key} {name} (sha256 {sha256})")
     if log.model_fields:
         names = ", ".join(f"{f.name} [{f.unit}] ({f.count})" for f in log.model_fields)
         lines.insert(-1, f"models      {names}")
