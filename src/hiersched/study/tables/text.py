@@ -47,21 +47,48 @@ def write_table(shown: Shown, content: pd.DataFrame, folder: Path) -> None:
 
 def markdown_text(table: pd.DataFrame, title: str, note: str) -> str:
     """Return a table as Markdown, a mean and its bounds in one cell."""
-    merged = [name for name in table.columns if {f"{name}_lo", f"{name}_hi"} <= set(table.columns)]
-    bounds = {f"{name}_{end}" for name in merged for end in ("lo", "hi")}
-    names = [name for name in table.columns if name not in bounds]
+    names, rows = _cells(table)
     lines = [f"# {title}", "", note, ""]
-    lines.append("| " + " | ".join(str(name) for name in names) + " |")
+    lines.append("| " + " | ".join(names) + " |")
     lines.append("|" + "|".join(_alignment(table, name) for name in names) + "|")
-    for row in table.to_dict("records"):
-        cells = [
+    lines += ["| " + " | ".join(row) + " |" for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def aligned_text(table: pd.DataFrame) -> str:
+    """Return a table for a terminal, a mean and its bounds in one cell: numbers on the right."""
+    names, rows = _cells(table)
+    widths = [max(map(len, column)) for column in zip(names, *rows, strict=True)]
+    right = [pd.api.types.is_numeric_dtype(table[name]) for name in names]
+    lines = []
+    for row in [names, *rows]:
+        cells = zip(row, widths, right, strict=True)
+        line = "  ".join(f"{cell:>{w}}" if number else f"{cell:<{w}}" for cell, w, number in cells)
+        lines.append(line.rstrip() + "\n")
+    return "".join(lines)
+
+
+def interval_names(table: pd.DataFrame) -> list[str]:
+    """List the columns that have an interval: two columns more, its ends."""
+    names = set(table.columns)
+    return [name for name in table.columns if {f"{name}_lo", f"{name}_hi"} <= names]
+
+
+def _cells(table: pd.DataFrame) -> tuple[list[str], list[list[str]]]:
+    """Return the names of the columns and the rows as text, a mean and its bounds in one cell."""
+    merged = interval_names(table)
+    bounds = {f"{name}_{end}" for name in merged for end in ("lo", "hi")}
+    names = [str(name) for name in table.columns if name not in bounds]
+    rows = [
+        [
             interval_text(row[name], row[f"{name}_lo"], row[f"{name}_hi"])
             if name in merged
             else cell_text(row[name])
             for name in names
         ]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+        for row in table.to_dict("records")
+    ]
+    return names, rows
 
 
 def interval_text(mean: float, lo: float, hi: float) -> str:

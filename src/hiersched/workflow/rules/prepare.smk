@@ -28,6 +28,7 @@ for s in SCENARIOS:
             whole(s, [files.SCENARIO]),
         log:
             f"{folder(s)}/logs/resolve.log",
+        priority: 100  # tables that are older than it are those of other values
         threads: 1
         params:
             spec=spec("resolve", dependencies.scenario_values(s)),
