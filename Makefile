@@ -75,12 +75,12 @@ lint: $(STAMP)  ## style, types, import directions, workflow format
 	$(RUN) ruff format --check .
 	$(RUN) mypy
 	$(RUN) lint-imports
-	$(RUN) snakefmt --check Snakefile src/hiersched/workflow
+	$(RUN) snakefmt --check workflow src/hiersched/workflow
 
 format: $(STAMP)  ## let the formatters have their way
 	$(RUN) ruff check --fix-only --quiet .
 	$(RUN) ruff format .
-	$(RUN) snakefmt Snakefile src/hiersched/workflow
+	$(RUN) snakefmt workflow src/hiersched/workflow
 
 oldest:  ## the kernels' tests on the oldest Numba that pyproject.toml allows (an environment of its own)
 	test -x .venv-oldest/bin/python || "$(PYTHON)" -m venv .venv-oldest

@@ -1,4 +1,5 @@
 # Measures of every run, from its log or as its job took them; then each table, figure and claim by itself.
+# Of these each takes seconds: on a cluster many share a job.
 
 
 def shown_spec(scenario, kind, thing):
@@ -47,7 +48,7 @@ for s in SCENARIOS:
             message:
                 f"Measuring the runs of {s.name}: {group}"
             shell:
-                "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"
+                "{sys.executable:q} -P -m hiersched.workflow.scripts.{params.args} > {log} 2>&1"
 
     for kind, things in {"table": TABLES, "figure": FIGURES}.items():
         for thing in shown(things, s).values():
@@ -69,7 +70,11 @@ for s in SCENARIOS:
                     whole(s, others),
                 log:
                     f"{folder(s)}/logs/{kind}_{thing.name}.log",
+                group:
+                    "shown"
                 threads: 1
+                resources:
+                    runtime=10,  # [min]
                 params:
                     spec=shown_spec(s, kind, thing),
                     caption=thing.title,
@@ -77,7 +82,7 @@ for s in SCENARIOS:
                 message:
                     f"{'Writing' if kind == 'table' else 'Drawing'} {kind} {thing.name} of {s.name}"
                 shell:
-                    "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"
+                    "{sys.executable:q} -P -m hiersched.workflow.scripts.{params.args} > {log} 2>&1"
 
     for thing in shown(CLAIMS, s).values():
 
@@ -90,14 +95,18 @@ for s in SCENARIOS:
                 whole(s, [f"claims/{thing.name}.json"]),
             log:
                 f"{folder(s)}/logs/{thing.name}.log",
+            group:
+                "shown"
             threads: 1
+            resources:
+                runtime=10,  # [min]
             params:
                 spec=shown_spec(s, "claim", thing),
                 args=show_arguments(s, "claim", thing),
             message:
                 f"Judging {thing.name} in {s.name}"
             shell:
-                "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"
+                "{sys.executable:q} -P -m hiersched.workflow.scripts.{params.args} > {log} 2>&1"
 
     if shown(CLAIMS, s):
 
@@ -119,11 +128,15 @@ for s in SCENARIOS:
                 ],
             log:
                 f"{folder(s)}/logs/claims.log",
+            group:
+                "shown"
             threads: 1
+            resources:
+                runtime=10,  # [min]
             params:
                 spec=spec("claims", s.name),
                 args=arguments("claims", s, "--names", ",".join(shown(CLAIMS, s))),
             message:
                 f"Putting the claims of {s.name} together"
             shell:
-                "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"
+                "{sys.executable:q} -P -m hiersched.workflow.scripts.{params.args} > {log} 2>&1"
