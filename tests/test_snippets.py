@@ -1,8 +1,8 @@
 """The Python snippets of the pages run from top to bottom, each page's in one namespace.
 
-Those of README.md and docs/control.md need nothing. docs/results.md and docs/log.md read results of
-`make paper`: they run on those of `make smoke` if HIERSCHED_RESULTS says where they lie, as
-`.ci/run` does.
+Those of README.md and docs/control.md need nothing. docs/results.md, docs/log.md and
+docs/clusters.md read results of `make paper`: they run on those of `make smoke` if
+HIERSCHED_RESULTS says where they lie, as `.ci/run` does.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ PAGES = {
     "docs/control.md": {},
     "docs/results.md": ON_SMOKE,
     "docs/log.md": ON_SMOKE,
+    "docs/clusters.md": ON_SMOKE,
 }
 """Page -> what is put in place of what."""
 
