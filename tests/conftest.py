@@ -39,14 +39,17 @@ settings.load_profile("hiersched")
 
 WITHOUT_TORCH = find_spec("torch") is None
 """Then tests that need it are skipped: `make pythons`."""
-_LEARNS = re.compile(r"^(import torch|from torch|from hiersched\.learning)", re.MULTILINE)
+_LEARNS = re.compile(
+    r"^(import torch|from torch|from hiersched\.(learning|experiments\.train)\b)", re.MULTILINE
+)
 
 
 def pytest_ignore_collect(collection_path: Path) -> bool | None:
-    """Leave out files that need torch to be imported, where there is none."""
-    if not WITHOUT_TORCH or collection_path.suffix != ".py":
+    """Leave out files and folders that need torch to be imported, where there is none."""
+    code = collection_path / "conftest.py" if collection_path.is_dir() else collection_path
+    if not WITHOUT_TORCH or code.suffix != ".py" or not code.is_file():
         return None
-    return bool(_LEARNS.search(collection_path.read_text(encoding="utf-8"))) or None
+    return bool(_LEARNS.search(code.read_text(encoding="utf-8"))) or None
 
 
 def _skipping_without_torch(item: pytest.Item) -> Generator[None, object, object]:
