@@ -57,7 +57,7 @@ all() {
   local folder="$root/.venv-$version" requirements
   mapfile -t requirements < <(without_torch "$python")
   make_environment "$folder" "$python" "${requirements[@]}" -e "$root"
-  (cd "$root" && "$folder/bin/python" -m pytest -q)
+  (cd "$root" && "$folder/bin/python" -m pytest -q -n "${CORES:-2}" --dist loadgroup)
   echo "Python $version: all tests that need no torch passed"
 }
 

@@ -1,6 +1,7 @@
 """The workflow on Slurm: a cluster of one node, started here, under the profile that we ship.
 
-The node has a host name of its own (`unshare --uts`), as nodes have: jobs are on another machine.
+The node has a host name of its own and its cluster's configuration in the usual place (`unshare`),
+as nodes have: jobs are on another machine.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ pytestmark = [
     pytest.mark.nightly,
     pytest.mark.skipif(bool(MISSING), reason=f"not installed: {', '.join(MISSING)}"),
     pytest.mark.skipif(os.geteuid() != 0, reason="a cluster of one's own needs root"),
+    pytest.mark.skipif(not Path("/etc/slurm").is_dir(), reason="no /etc/slurm to mount over"),
 ]
 
 NODE = "hiersched-node"
@@ -130,12 +132,13 @@ def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, str]
     own = {"socket": "socket", "pid-file": "pid", "log-file": "log", "seed-file": "seed"}
     munge = ["munged", "--foreground", "--force", f"--key-file={key}"]
     munge += [f"--{option}={folder}/munge.{ending}" for option, ending in own.items()]
-    node = f"hostname {NODE} && exec slurmd -D"
+    # The executor starts srun in its jobs without SLURM_CONF.
+    node = f"hostname {NODE} && mount --bind {folder} /etc/slurm && exec slurmd -D"
     with ExitStack() as services:
         for name, command in (
             ("munged", munge),
             ("slurmctld", ["slurmctld", "-D"]),
-            ("slurmd", ["unshare", "--uts", "sh", "-c", node]),
+            ("slurmd", ["unshare", "--uts", "--mount", "sh", "-c", node]),
         ):
             services.enter_context(service(command, environment, folder / f"{name}.out"))
             if name == "munged":
