@@ -23,7 +23,7 @@ RUN := env PATH="$(BIN):$$PATH" OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: oldest help install paper smoke readme docs site gains test nightly mutants lint format bench bench-short clean distclean teleop teleop-learning
+.PHONY: oldest pythons help install paper smoke readme docs site gains test nightly mutants lint format bench bench-short clean distclean teleop teleop-learning
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## /{printf "  make %-15s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -67,10 +67,11 @@ gains: $(STAMP)  ## design the gains that the package ships anew
 test: $(STAMP)  ## the tests, in about two minutes
 	$(RUN) python -m pytest -n $(CORES) --dist loadgroup
 
-nightly: $(STAMP)  ## the tests that take longer: fuzzing, kills, tutorials, others' wrappers, whole studies
+nightly: $(STAMP)  ## the tests that take longer: fuzzing, kills, tutorials, others' wrappers, whole studies, other Pythons
 	"$(VENV)/bin/python" -m pip install --quiet $(PIP_ARGS) -c constraints.txt -e '.[dev,wrappers]'
 	$(RUN) python -m pytest -n $(CORES) --dist loadgroup -m nightly
 	$(RUN) python -m pytest -n $(CORES) --dist loadgroup tests/env
+	$(RUN) bash tests/pythons.sh all 3.12 3.13
 
 mutants: $(STAMP)  ## 60 mutants and the tests that kill them, in an hour or two (results/mutants.tsv)
 	"$(VENV)/bin/python" -m pip install --quiet $(PIP_ARGS) -c constraints.txt -e '.[dev,mutants]'
@@ -81,17 +82,20 @@ lint: $(STAMP)  ## style, types, import directions, workflow format
 	$(RUN) ruff format --check .
 	$(RUN) mypy
 	$(RUN) lint-imports
-	$(RUN) snakefmt --check Snakefile src/hiersched/workflow
+	$(RUN) snakefmt --check workflow src/hiersched/workflow
 
 format: $(STAMP)  ## let the formatters have their way
 	$(RUN) ruff check --fix-only --quiet .
 	$(RUN) ruff format .
-	$(RUN) snakefmt Snakefile src/hiersched/workflow
+	$(RUN) snakefmt workflow src/hiersched/workflow
 
 oldest:  ## the kernels' tests on the oldest Numba that pyproject.toml allows (an environment of its own)
 	test -x .venv-oldest/bin/python || "$(PYTHON)" -m venv .venv-oldest
 	.venv-oldest/bin/python -m pip install --quiet $(PIP_ARGS) "numba==$(OLDEST_NUMBA)" "numpy<2.2" -e '.[control]' mcap-protobuf-support pytest hypothesis
 	.venv-oldest/bin/python -m pytest -q tests/core tests/simulator
+
+pythons:  ## the tests that need no torch on Python 3.12 and 3.13, where they are (an environment each)
+	$(RUN) bash tests/pythons.sh all 3.12 3.13
 
 bench: $(STAMP)  ## speed of the slot loop, the environments, the log, the gain design and the learners
 	$(RUN) python benchmarks/run.py

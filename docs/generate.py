@@ -460,6 +460,7 @@ WHERE = {
         "hiersched.study.tables.gains",
         "hiersched.study.tables.paper",
     ),
+    "one table of many studies": ("hiersched.study.across:table_across",),
     "intervals of means and ratios": ("hiersched.study.samples", "hiersched.study.lognormal"),
     "a table, figure or claim": ("hiersched.study.registry:Shown",),
     "the colour of a user": ("hiersched.core.colours:user_colours",),

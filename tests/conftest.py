@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import os
+import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -33,6 +35,34 @@ settings.register_profile(
     suppress_health_check=[HealthCheck.too_slow],
 )
 settings.load_profile("hiersched")
+
+
+WITHOUT_TORCH = find_spec("torch") is None
+"""Then tests that need it are skipped: `make pythons`."""
+_LEARNS = re.compile(
+    r"^(import torch|from torch|from hiersched\.(learning|experiments\.train)\b)", re.MULTILINE
+)
+
+
+def pytest_ignore_collect(collection_path: Path) -> bool | None:
+    """Leave out files and folders that need torch to be imported, where there is none."""
+    code = collection_path / "conftest.py" if collection_path.is_dir() else collection_path
+    if not WITHOUT_TORCH or code.suffix != ".py" or not code.is_file():
+        return None
+    return bool(_LEARNS.search(code.read_text(encoding="utf-8"))) or None
+
+
+def _skipping_without_torch(item: pytest.Item) -> Generator[None, object, object]:
+    try:
+        return (yield)
+    except ImportError as error:  # MissingExtraError among them
+        if WITHOUT_TORCH and (error.name or "").partition(".")[0] == "torch":
+            pytest.skip("needs torch")
+        raise
+
+
+pytest_runtest_setup = pytest.hookimpl(wrapper=True)(_skipping_without_torch)
+pytest_runtest_call = pytest.hookimpl(wrapper=True)(_skipping_without_torch)
 
 
 LONGEST_FIRST = ("study", "control", "experiments", "learning", "simulator", "replay", "log")

@@ -36,7 +36,8 @@ CONFIG = "src/hiersched/config"
 
 def documents(root: Path) -> dict[str, str]:
     """Markdown file, relative to the root -> its text."""
-    places = (root.glob("*.md"), root.glob("docs/**/*.md"), root.glob("src/**/*.md"))
+    patterns = ("*.md", "config/*.md", "docs/**/*.md", "src/**/*.md")
+    places = (root.glob(pattern) for pattern in patterns)
     return {
         path.relative_to(root).as_posix(): path.read_text(encoding="utf-8")
         for paths in places

@@ -442,7 +442,7 @@ def test_snakemake_runs_a_study_of_plugins(tiny_with, folder, project_root, caps
     """Gains, kernels and the evaluation of a study with four plug-ins; the rest is planned."""
     scenario = tiny_with("scheduler", "channel", "traffic", evaluate={"policies": ["steep", "pf"]})
     log = f"results/{scenario.name}/runs/evaluate/steep/seed11.mcap"
-    snakemake = ("-m", "snakemake", "--snakefile", str(project_root / "Snakefile"))
+    snakemake = ("-m", "snakemake", "--snakefile", str(project_root / "workflow/Snakefile"))
     given = ("--config", "scenarios=[tiny.yaml]")
     done = run_python(folder, project_root, *snakemake, "--cores", "1", log, *given)
     assert done.returncode == 0, done.stderr

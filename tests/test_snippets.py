@@ -1,8 +1,9 @@
 """The Python snippets of the pages run from top to bottom, each page's in one namespace.
 
-Those of README.md and docs/control.md need nothing. docs/results.md, docs/log.md and docs/how_to.md
-read results or logs: they run on those of `make smoke` if HIERSCHED_RESULTS says where they lie, as
-`.ci/run` does. A block that imports a package of `OPTIONAL` is left out where that is missing.
+Those of README.md and docs/control.md need nothing. docs/results.md, docs/log.md, docs/how_to.md and
+docs/clusters.md read results or logs: they run on those of `make smoke` if HIERSCHED_RESULTS says
+where they lie, as `.ci/run` does. A block that imports a package of `OPTIONAL` is left out where that
+is missing.
 """
 
 from __future__ import annotations
@@ -30,6 +31,7 @@ PAGES = {
     "docs/environments.md": {},
     "docs/results.md": ON_SMOKE,
     "docs/log.md": ON_SMOKE,
+    "docs/clusters.md": ON_SMOKE,
     "docs/how_to.md": {**ON_SMOKE, '"pf.mcap"': ON_SMOKE['"run.mcap"']},
 }
 """Page -> what is put in place of what."""

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import platform
 import shutil
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
 
-from hiersched.experiments.fingerprint import code_fingerprint, reachable_modules
+from hiersched.experiments.fingerprint import (
+    code_fingerprint,
+    kernels_name,
+    reachable_modules,
+)
 
 FILES = {
     "hiersched/__init__.py": "",
@@ -202,3 +207,18 @@ def test_a_figure_reaches_no_other_file_of_figures(project_root: Path) -> None:
     assert reached("tables/policies.py") == {"tables.text"}
     assert reached("figures/rates.py") == {"figures.style", *tables}
     assert not any(m.startswith(("figures", "built_in")) for m in reached("claims/judged.py"))
+
+
+def test_a_job_on_another_machine_names_the_kernels_as_its_run(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def name(node: str, run: str) -> str:
+        monkeypatch.setattr(platform, "node", lambda: node)
+        monkeypatch.setenv("HIERSCHED_RUN", run)
+        kernels_name.cache_clear()
+        return kernels_name()
+
+    on_login = name("login", "12 login")
+    assert name("node7", "12 login") == on_login == name("login", "")
+    assert name("node7", "12 node7") != on_login
+    kernels_name.cache_clear()

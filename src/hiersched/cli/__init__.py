@@ -18,7 +18,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run a command; `arguments` are as typed, those of the process unless given.
 
     Returns the exit status: 0; 1 when a log is not what it should be; 2 when the input is at fault
-    (one message on stderr); 3 when a recovered log lacks something; of a study Snakemake's.
+    (one message on stderr); 3 when a recovered log, or a table of studies, lacks something; of a
+    study Snakemake's.
     """
     parsed = _parser().parse_args(arguments)
     command: Callable[[argparse.Namespace], int] = parsed.command
@@ -41,13 +42,13 @@ def _complain(message: str) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    from hiersched.cli import log, replay, run, scenario
+    from hiersched.cli import log, replay, run, scenario, table
 
     parser = argparse.ArgumentParser(
         prog="hiersched", description="Bandwidth allocation and control gains for teleoperation."
     )
     parser.add_argument("--version", action="version", version=f"hiersched {version('hiersched')}")
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
-    for module in (run, scenario, log, replay):
+    for module in (run, scenario, table, log, replay):
         module.add_commands(commands)
     return parser

@@ -22,12 +22,16 @@ KERNEL_MODULE = PACKAGE_FOLDER / "simulator" / "simulator.py"
 
 @cache
 def kernels_name() -> str:
-    """Name the compiled slot loop of this code, Numba, Python, machine and cache folder."""
+    """Name the compiled slot loop of this code, Numba, Python, machine and cache folder.
+
+    The machine is that of the run: a job that computes it on another one has the same file.
+    """
     from hiersched.core.compiled import CACHE_FOLDER
+    from hiersched.experiments.turns import run_node
 
     parts = (
         code_fingerprint(KERNEL_MODULE),
-        *(version("numba"), platform.python_version(), platform.machine(), platform.node()),
+        *(version("numba"), platform.python_version(), platform.machine(), run_node()),
         str(CACHE_FOLDER),
     )
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]

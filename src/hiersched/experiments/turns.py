@@ -52,6 +52,11 @@ def begin_run(folder: Path) -> bool:
     return True
 
 
+def run_node() -> str:
+    """Name of the machine that the run was started on, of which this process may be a job."""
+    return os.environ.get(_VARIABLE, "").partition(" ")[2] or platform.node()
+
+
 def join_run(folder: Path) -> None:
     """Take part in the run that started this process as a job, if one did: end when it does."""
     pid, _, node = os.environ.get(_VARIABLE, "").partition(" ")

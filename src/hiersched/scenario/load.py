@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, fields, replace
 from functools import cache, lru_cache
 from pathlib import Path
@@ -368,6 +368,38 @@ def load_resolved(text: str, origin: Path) -> tuple[Scenario, tuple[str, ...], s
     whole = _with_axes(_merge(defaults, data), whole=True)
     merged = _with_hold(_with_learners(whole))
     return _validate(merged, [(origin, data), (DEFAULTS, {})]), tuple(missing), sha256
+
+
+def resolved_values(path: Path) -> tuple[dict[str, Any], tuple[str, ...]]:
+    """Read the values of a resolved scenario without its plug-ins, which may be gone.
+
+    Returns
+    -------
+    values, added
+        Dotted key -> value, lists whole, old keys in their new places; and the keys that the
+        scenario lacks, whose values are today's defaults: an earlier version wrote it.
+
+    Raises
+    ------
+    ScenarioError
+        If it is no YAML, or has no name.
+    """
+    data = converted(_read_yaml(path))
+    if not isinstance(data.get("name"), str):
+        raise ScenarioError(f"{path}: no scenario: it has no name")
+    missing = _missing_keys(data)
+    if missing:
+        data = _merge(_read_yaml(DEFAULTS), data)
+    return dict(_dotted(data, "")), tuple(missing)
+
+
+def _dotted(data: Mapping[str, Any], before: str) -> Iterator[tuple[str, Any]]:
+    """Go through the values of nested mappings with their dotted keys."""
+    for key, value in data.items():
+        if isinstance(value, Mapping):
+            yield from _dotted(value, f"{before}{key}.")
+        else:
+            yield f"{before}{key}", value
 
 
 def _missing_keys(data: Mapping[str, Any]) -> list[str]:

@@ -44,19 +44,40 @@ TROUBLE_NOTE = (
 
 def markdown_text(table: pd.DataFrame, title: str, note: str) -> str:
     """Return a table as Markdown, a mean and its bounds in one cell."""
-    merged, names = merged_columns(table)
+    names, rows = _cells(table)
     lines = [f"# {title}", "", note, ""]
-    lines.append("| " + " | ".join(str(name) for name in names) + " |")
+    lines.append("| " + " | ".join(names) + " |")
     lines.append("|" + "|".join(_alignment(table, name) for name in names) + "|")
-    for row in table.to_dict("records"):
-        cells = [
+    lines += ["| " + " | ".join(row) + " |" for row in rows]
+    return "\n".join(lines) + "\n"
+
+
+def aligned_text(table: pd.DataFrame) -> str:
+    """Return a table for a terminal, a mean and its bounds in one cell: numbers on the right."""
+    names, rows = _cells(table)
+    widths = [max(map(len, column)) for column in zip(names, *rows, strict=True)]
+    right = [pd.api.types.is_numeric_dtype(table[name]) for name in names]
+    lines = []
+    for row in [names, *rows]:
+        cells = zip(row, widths, right, strict=True)
+        line = "  ".join(f"{cell:>{w}}" if number else f"{cell:<{w}}" for cell, w, number in cells)
+        lines.append(line.rstrip() + "\n")
+    return "".join(lines)
+
+
+def _cells(table: pd.DataFrame) -> tuple[list[str], list[list[str]]]:
+    """Return the names of the columns and the rows as text, a mean and its bounds in one cell."""
+    merged, names = merged_columns(table)
+    rows = [
+        [
             interval_text(row[name], row[f"{name}_lo"], row[f"{name}_hi"])
             if name in merged
             else cell_text(row[name])
             for name in names
         ]
-        lines.append("| " + " | ".join(cells) + " |")
-    return "\n".join(lines) + "\n"
+        for row in table.to_dict("records")
+    ]
+    return names, rows
 
 
 def merged_columns(table: pd.DataFrame) -> tuple[list[str], list[str]]:

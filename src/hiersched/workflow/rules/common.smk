@@ -52,7 +52,8 @@ def load_scenarios():
     return list(scenarios.values())
 
 
-begin_run(Path(".snakemake"))
+if workflow.is_main_process:  # not a job, which reads this file on its node once more
+    begin_run(Path(".snakemake"))
 try:
     SCENARIOS = load_scenarios()
 except ScenarioError as error:
@@ -96,7 +97,7 @@ def spec(stage, values, name=None):
 def arguments(name, scenario, *more):
     """Script and arguments of a job."""
     given = ["--scenario", SOURCES[scenario.name], "--results", folder(scenario), *more]
-    return " ".join([f"{name}.py", *(shlex.quote(word) for word in given)])
+    return " ".join([name, *(shlex.quote(word) for word in given)])
 
 
 def shown_files(scenario):

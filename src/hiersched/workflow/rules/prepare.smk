@@ -1,5 +1,6 @@
 # The resolved scenario, the gains, the compiled slot loop.
-# Shell commands are formatted when a job runs, long after the loops: what differs from rule to rule is in `args`.
+# Shell commands are formatted when a job runs, long after the loops: what differs from rule to rule is in `args`. They
+# see no name of these files where the workflow is a module of another one, so scripts run as modules of the package.
 
 
 # Compiling the slot loop takes longer than most jobs run: once, for all of them. The file is named after the code,
@@ -16,7 +17,7 @@ rule kernels:
     message:
         "Compiling the slot loop"
     shell:
-        "{sys.executable:q} -P {SCRIPTS:q}/kernels.py --output {output} > {log} 2>&1"
+        "{sys.executable:q} -P -m hiersched.workflow.scripts.kernels --output {output} > {log} 2>&1"
 
 
 for s in SCENARIOS:
@@ -28,6 +29,7 @@ for s in SCENARIOS:
             whole(s, [files.SCENARIO]),
         log:
             f"{folder(s)}/logs/resolve.log",
+        priority: 100  # tables that are older than it are those of other values
         threads: 1
         params:
             spec=spec("resolve", dependencies.scenario_values(s)),
@@ -35,7 +37,7 @@ for s in SCENARIOS:
         message:
             f"Writing the resolved scenario {s.name}"
         shell:
-            "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"
+            "{sys.executable:q} -P -m hiersched.workflow.scripts.{params.args} > {log} 2>&1"
 
     for design in designs(s):
 
@@ -55,7 +57,7 @@ for s in SCENARIOS:
             message:
                 f"Designing gains of {s.name}: {design}"
             shell:
-                "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"
+                "{sys.executable:q} -P -m hiersched.workflow.scripts.{params.args} > {log} 2>&1"
 
     if "gain_grid" in experiments(s):
 
@@ -77,4 +79,4 @@ for s in SCENARIOS:
             message:
                 f"Finding the longest delays: {s.name}"
             shell:
-                "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"
+                "{sys.executable:q} -P -m hiersched.workflow.scripts.{params.args} > {log} 2>&1"

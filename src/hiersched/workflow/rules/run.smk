@@ -24,7 +24,7 @@ for s in SCENARIOS:
                 message:
                     f"Choosing the knobs of {s.name}: {cell_of(e)}"
                 shell:
-                    "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"
+                    "{sys.executable:q} -P -m hiersched.workflow.scripts.{params.args} > {log} 2>&1"
 
         for group in groups(s, e):
             stage = "run_learned" if group in s.learned else "run"
@@ -56,7 +56,7 @@ for s in SCENARIOS:
                 message:
                     f"Running {e.name} of {s.name}: {group}"
                 shell:
-                    "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"
+                    "{sys.executable:q} -P -m hiersched.workflow.scripts.{params.args} > {log} 2>&1"
 
     if s.bound.slots_per_log:
         evaluation = experiments(s)["evaluate"]
@@ -81,4 +81,4 @@ for s in SCENARIOS:
             message:
                 f"Computing exact optima of {s.name}"
             shell:
-                "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"
+                "{sys.executable:q} -P -m hiersched.workflow.scripts.{params.args} > {log} 2>&1"

@@ -1,4 +1,5 @@
 # Measures of every run, from its log or as its job took them; then each table, figure and claim by itself.
+# Of these each takes seconds: on a cluster many share a job.
 
 
 def shown_spec(scenario, kind, thing):
@@ -70,7 +71,7 @@ for s in SCENARIOS:
             message:
                 f"Measuring the runs of {s.name}: {group}"
             shell:
-                "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"
+                "{sys.executable:q} -P -m hiersched.workflow.scripts.{params.args} > {log} 2>&1"
 
     rule:
         name:
@@ -92,7 +93,7 @@ for s in SCENARIOS:
         message:
             f"Following the loops of {s.name} over their delays"
         shell:
-            "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"
+            "{sys.executable:q} -P -m hiersched.workflow.scripts.{params.args} > {log} 2>&1"
 
     for kind, things in {"table": TABLES, "figure": FIGURES}.items():
         for thing in shown(things, s).values():
@@ -108,7 +109,11 @@ for s in SCENARIOS:
                     whole(s, others),
                 log:
                     f"{folder(s)}/logs/{kind}_{thing.name}.log",
+                group:
+                    "shown"
                 threads: 1
+                resources:
+                    runtime=10,  # [min]
                 params:
                     spec=shown_spec(s, kind, thing),
                     caption=shown_caption(thing),
@@ -116,7 +121,7 @@ for s in SCENARIOS:
                 message:
                     f"{'Writing' if kind == 'table' else 'Drawing'} {kind} {thing.name} of {s.name}"
                 shell:
-                    "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"
+                    "{sys.executable:q} -P -m hiersched.workflow.scripts.{params.args} > {log} 2>&1"
 
     for thing in shown(CLAIMS, s).values():
 
@@ -129,14 +134,18 @@ for s in SCENARIOS:
                 whole(s, [f"claims/{thing.name}.json"]),
             log:
                 f"{folder(s)}/logs/{thing.name}.log",
+            group:
+                "shown"
             threads: 1
+            resources:
+                runtime=10,  # [min]
             params:
                 spec=shown_spec(s, "claim", thing),
                 args=show_arguments(s, "claim", thing),
             message:
                 f"Judging {thing.name} in {s.name}"
             shell:
-                "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"
+                "{sys.executable:q} -P -m hiersched.workflow.scripts.{params.args} > {log} 2>&1"
 
     if shown(CLAIMS, s):
 
@@ -156,14 +165,18 @@ for s in SCENARIOS:
                 ),
             log:
                 f"{folder(s)}/logs/claims.log",
+            group:
+                "shown"
             threads: 1
+            resources:
+                runtime=10,  # [min]
             params:
                 spec=spec("claims", s.name),
                 args=arguments("claims", s, "--names", ",".join(shown(CLAIMS, s))),
             message:
                 f"Putting the claims of {s.name} together"
             shell:
-                "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"
+                "{sys.executable:q} -P -m hiersched.workflow.scripts.{params.args} > {log} 2>&1"
 
     rule:
         name:
@@ -182,4 +195,4 @@ for s in SCENARIOS:
         message:
             f"Writing the page of {s.name}"
         shell:
-            "{sys.executable:q} -P {SCRIPTS:q}/{params.args} > {log} 2>&1"
+            "{sys.executable:q} -P -m hiersched.workflow.scripts.{params.args} > {log} 2>&1"

@@ -25,4 +25,4 @@ for s in SCENARIOS:
             message:
                 f"Training all seeds of {s.name}: {learner}"
             shell:
-                "{sys.executable:q} -P -u {SCRIPTS:q}/{params.args} 2>&1 | tee {log}"
+                "{sys.executable:q} -P -u -m hiersched.workflow.scripts.{params.args} 2>&1 | tee {log}"
