@@ -1,9 +1,9 @@
 """The Python snippets of the pages run from top to bottom, each page's in one namespace.
 
-Those of README.md and docs/control.md need nothing. docs/results.md, docs/log.md, docs/how_to.md and
-docs/clusters.md read results or logs: they run on those of `make smoke` if HIERSCHED_RESULTS says
-where they lie, as `.ci/run` does. A block that imports a package of `OPTIONAL` is left out where that
-is missing.
+Those of README.md and docs/control.md need nothing. docs/results.md, docs/log.md, docs/how_to.md
+and docs/clusters.md read results or logs: they run on those of `make smoke` if HIERSCHED_RESULTS
+says where they lie, as `.ci/run` does. A block that imports a package of `OPTIONAL` is left out
+where that is missing.
 """
 
 from __future__ import annotations
