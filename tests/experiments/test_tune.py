@@ -34,6 +34,7 @@ from hiersched.replay.verify import verify
 from hiersched.scenario import Scenario
 from hiersched.scenario.consistency import inconsistencies
 from hiersched.study.built_in import shown
+from hiersched.study.growth import write_growth
 from hiersched.study.measure import measure
 from hiersched.study.metrics import measured_row
 from hiersched.study.registry import CLAIMS, FIGURES, TABLES
@@ -224,6 +225,7 @@ def test_held_out_runs_are_measured_and_the_first_is_logged(scenario: Scenario, 
 def test_everything_is_shown_of_what_was_measured(scenario: Scenario, ran: Path) -> None:
     run_experiment(scenario, ran, "evaluate", "classical", untrained_policies, measured_row)
     measure(scenario, ran, "classical")
+    write_growth(scenario, ran)
     study = Study(scenario, ran)
     assert set(study.task["point"]) == {TUNED, FLOOR, "knob0", "knob1"}
     knobs = study.task.groupby("point")["knob"].unique()

@@ -140,7 +140,7 @@ def test_defaults_explain_every_key_of_the_schema(config, load_text):
         if is_dataclass(kind)
         for field in fields(kind)
     }
-    keys |= {"plugins", "policies", "learners"}
+    keys |= {"plugins", "policies", "learners", "robot_kinds"}
     defaults = load_text("")
     for section in SECTIONS:
         keys -= {section}

@@ -319,6 +319,7 @@ def test_a_plugin_that_lacks_a_package_says_what_to_install(
     load_text, plugin, monkeypatch, name, texts
 ):
     if name in EXTRA_OF:
+        monkeypatch.delitem(sys.modules, name, raising=False)
         monkeypatch.setattr(sys, "meta_path", [Missing(name), *sys.meta_path])
     path = plugin(f"# one\n# two\nimport {name}\n")
     line = path.read_text(encoding="utf-8").splitlines().index(f"import {name}") + 1

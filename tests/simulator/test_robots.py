@@ -10,7 +10,7 @@ import pytest
 
 from hiersched.control import build_schedule, hold_delays
 from hiersched.experiments.events import entries_in_force
-from hiersched.models.plant.unicycle import SLIP, STATE
+from hiersched.models.plant.unicycle import LAG, SLIP, STATE
 from hiersched.simulator.loop_gains import Gains, loop_gains, plant_of
 
 STILL = {
@@ -224,7 +224,7 @@ def test_index_of_a_window_is_that_of_its_steps(make_simulator, of_robots):
     simulator.words["plant"].set_state(np.array([0.03, -0.05, 0.2, 0.0, 0.1]))
     start = of_robots(simulator, STATE, 5)[0]
     record = simulator.run_robots(forced(0.02, 1, 401))
-    lag_mean = simulator.words["plant"].lag_mean
+    lag_mean = of_robots(simulator, LAG, 1)[0]
     first = simulator.scenario.robot.initial_dexterity_index
     np.testing.assert_array_equal(record.dexterity_index[0, :400], first)
     state, control, reference = (

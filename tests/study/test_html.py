@@ -98,7 +98,7 @@ def test_what_looks_like_markup_is_text(smoke_scenario: Scenario) -> None:
         ("embb_delay_p99_s", "eMBB delay 99 % quantile [s]"),
         ("delay_steps", "Delay [samples]"),
         ("urllc_rate_mbps_median", "URLLC rate median [Mbit/s]"),
-        ("tracking_error_cm_over_own", "Tracking error cm over own"),
+        ("tracking_error_cm_over_own", "Tracking error over own"),
     ],
 )
 def test_headings_are_words_and_a_unit(name: str, text: str) -> None:
