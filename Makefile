@@ -58,17 +58,18 @@ docs: $(STAMP)  ## write the generated parts of the documents, and the JSON sche
 	$(RUN) python docs/generate.py
 
 site: $(STAMP)  ## the documents as a site, links checked, the notebook run (results/site)
+	"$(VENV)/bin/python" -m pip install --quiet $(PIP_ARGS) -c constraints.txt -e '.[dev,docs]'
 	$(RUN) python -m sphinx -W --keep-going -q -b html -c docs -d results/.doctrees . results/site
 	$(RUN) python docs/check_site.py results/site
 
 gains: $(STAMP)  ## design the gains that the package ships anew
 	$(RUN) python src/hiersched/workflow/scripts/ship_gains.py
 
-test: $(STAMP)  ## the tests, in about two minutes
+test: $(STAMP)  ## the tests, in about three minutes
 	$(RUN) python -m pytest -n $(CORES) --dist loadgroup
 
 nightly: $(STAMP)  ## the tests that take longer: fuzzing, kills, tutorials, others' wrappers, whole studies, other Pythons
-	"$(VENV)/bin/python" -m pip install --quiet $(PIP_ARGS) -c constraints.txt -e '.[dev,wrappers]'
+	"$(VENV)/bin/python" -m pip install --quiet $(PIP_ARGS) -c constraints.txt -e '.[dev,wrappers,docs]'
 	$(RUN) python -m pytest -n $(CORES) --dist loadgroup -m nightly
 	$(RUN) python -m pytest -n $(CORES) --dist loadgroup tests/env
 	$(RUN) bash tests/pythons.sh all 3.12 3.13
