@@ -69,7 +69,7 @@ test: $(STAMP)  ## the tests, in about three minutes
 	$(RUN) python -m pytest -n $(CORES) --dist loadgroup
 
 nightly: $(STAMP)  ## the tests that take longer: fuzzing, kills, tutorials, others' wrappers, whole studies, other Pythons
-	"$(VENV)/bin/python" -m pip install --quiet $(PIP_ARGS) -c constraints.txt -e '.[dev,wrappers,docs]'
+	"$(VENV)/bin/python" -m pip install --quiet $(PIP_ARGS) -c constraints.txt -e '.[dev,wrappers,docs,slurm,viewer]'
 	$(RUN) python -m pytest -n $(CORES) --dist loadgroup -m nightly
 	$(RUN) python -m pytest -n $(CORES) --dist loadgroup tests/env
 	$(RUN) bash tests/pythons.sh all 3.12 3.13
@@ -108,5 +108,5 @@ clean:  ## remove caches and build leftovers (results/ and the environment stay)
 	rm -rf results/.kernels results/.doctrees results/.jupyter_cache build dist .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis .benchmarks
 	find src tests benchmarks -name __pycache__ -type d -prune -exec rm -rf {} + 2>/dev/null || true
 
-distclean: clean  ## remove the environment and the results too
-	rm -rf "$(VENV)" results .snakemake
+distclean: clean  ## remove the environments and the results too
+	rm -rf "$(VENV)" .venv-oldest .venv-3.12 .venv-3.13 results .snakemake

@@ -19,6 +19,7 @@ from urllib.parse import unquote, urlsplit
 PACKAGES = ("env", "control", "scenario", "simulator", "log")
 """Those whose `__all__` the API pages have."""
 LOADED = {"img", "script", "iframe", "source", "video", "audio", "embed", "object", "input"}
+LOADED_LINKS = {"stylesheet", "icon", "preload", "modulepreload"}
 STYLE_URL = re.compile(r"""(?:url\(\s*|@import\s+)["']?([^"')\s]+)""")
 
 
@@ -37,8 +38,8 @@ class Page(HTMLParser):
         self.anchors |= {given[name] for name in ("id", "name") if name in given}
         if tag in LOADED:
             self.loads += [given[name] for name in ("src", "data") if given.get(name)]
-        if tag == "link" and "stylesheet icon preload".find(given.get("rel", "")) >= 0:
-            self.loads.append(given["href"])
+        if tag == "link" and LOADED_LINKS & set(given.get("rel", "").split()):
+            self.loads.append(given.get("href", ""))
         elif tag in ("a", "link") and "href" in given:
             self.links.append(given["href"])
 

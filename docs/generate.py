@@ -396,6 +396,11 @@ WHERE = {
     "draws of the world: streams, keys": ("hiersched.core.randomness:draw_uniforms",),
     "arrivals, and how they fall with the rate": ("hiersched.models.traffic.poisson",),
     "the sojourn of every packet in the FIFO queue": ("hiersched.models.queue.fifo:serve_user",),
+    "a policy of another library, in a file": ("hiersched.policies.files",),
+    "the page of a log, that of a study": (
+        "hiersched.replay.page.build",
+        "hiersched.study.page.build",
+    ),
     "the same once more, from logs": ("hiersched.study.fifo:sojourn_slots",),
     "the dexterity index (DI)": ("hiersched.models.plant.dexterity:dexterity_index",),
     "the gain in force at a delay": ("hiersched.models.plant.feedback:entry_in_force",),

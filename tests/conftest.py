@@ -56,7 +56,7 @@ def _skipping_without_torch(item: pytest.Item) -> Generator[None, object, object
     try:
         return (yield)
     except ImportError as error:  # MissingExtraError among them
-        if WITHOUT_TORCH and (error.name or "").partition(".")[0] == "torch":
+        if WITHOUT_TORCH and (error.name or "").partition(".")[0] in ("torch", "stable_baselines3"):
             pytest.skip("needs torch")
         raise
 

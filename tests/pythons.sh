@@ -4,15 +4,15 @@
 #   world WHEEL LOG PYTHON…   the core of a wheel runs the world of a log once more: the same bits
 #   all PYTHON…               core, gains and studies without learners: their tests
 #
-# A Python that this machine does not have is named and left out. PyPI's torch for it brings several gigabytes of GPU
+# A Python that this machine does not have, or not whole, is named and left out. PyPI's torch for it brings several gigabytes of GPU
 # libraries, so learners are tested on one Python alone.
 set -euo pipefail
 
 root="$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd)"
 
-# Its path, or nothing. A name in the search path may be a pyenv shim, which runs only what it is told to.
+# Its path, or nothing: one that cannot make environments is none. A name in the search path may be a pyenv shim, which runs only what it is told to.
 interpreter() {
-  PYENV_VERSION="$1" "python$1" -c 'import sys; print(sys.executable)' 2>/dev/null || true
+  PYENV_VERSION="$1" "python$1" -c 'import ensurepip, sys, venv; print(sys.executable)' 2>/dev/null || true
 }
 
 # In an environment with requirements.
@@ -23,7 +23,7 @@ make_environment() {
   "$folder/bin/python" -m pip install --quiet -c "$root/constraints.txt" "$@"
 }
 
-# Every requirement of the extra dev but torch.
+# Every requirement of the extra dev but torch and what brings it.
 without_torch() {
   "$1" - "$root/pyproject.toml" <<'PYTHON'
 import re, sys, tomllib
@@ -36,7 +36,7 @@ def requirements(extra):
         inner = re.fullmatch(r"hiersched\[(.+)\]", requirement)
         for name in inner[1].split(",") if inner else ():
             yield from requirements(name.strip())
-        if not inner and not requirement.startswith("torch"):
+        if not inner and not requirement.startswith(("torch", "stable-baselines3")):
             yield requirement
 
 print(*dict.fromkeys(requirements("dev")), sep="\n")
@@ -44,8 +44,9 @@ PYTHON
 }
 
 world() {
-  local version=$1 python=$2 wheel=$3 log=$4 work
+  local version=$1 python=$2 wheel=$3 log=$4
   work="$(mktemp -d)"
+  trap 'rm -rf "$work"' EXIT
   make_environment "$work/venv" "$python" "$wheel"
   (cd "$work" && "$work/venv/bin/hiersched" replay "$log")
   rm -rf "$work"

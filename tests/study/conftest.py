@@ -345,7 +345,7 @@ def _write_robots(folder: Path, experiment: Experiment, point: Point, gain: str)
     """Nominal 1.8, 2.0, 2.2 cm; adjusted 0.49, 0.50, 0.51 of it, or so, in violated windows.
 
     In sweeps 2 cm likewise, but 12 cm at its limits of one robot in the violated window; adjusted
-    0.6 of that where delays are long.
+    0.6 of that where delays are long. Delays are of four samples in violated windows, else of one.
     """
     assert point.delays is not None
     for seed in experiment.seeds:
@@ -363,6 +363,9 @@ def _write_robots(folder: Path, experiment: Experiment, point: Point, gain: str)
         fields = _zero_fields(10 * windows)
         fields["tracking_error_m"] = error.reshape(-1, 2)
         fields["control_saturated"] = saturated.reshape(-1, 2)
+        steps = np.ones((windows, 10, 2), np.uint32)
+        steps[violated] = 4
+        fields["delay_steps"] = steps.reshape(-1, 2)
         label = {"policy": "none", "seed": str(seed), "stage": experiment.stage}
         path = folder / files.run_log(experiment, point, gain, seed)
         _write_log(path, fields, metadata=label, profile="robots")

@@ -74,14 +74,14 @@ def test_a_table_of_a_plugin_is_made(finished: Path) -> None:
 def test_the_report_shows_tables_to_read(finished: Path, study: Path, snakemake: Any) -> None:
     """Not the files to compute with; under their titles, with a caption that is no markup."""
     wanted = [f"results/mine/tables/{name}.html" for name in ("sweeps", "mine")]
-    done = snakemake(study, "--report", "report.html", *wanted, scenario="mine.yaml")
+    done = snakemake(study, "--report", "snakemake.html", *wanted, scenario="mine.yaml")
     said = done.stdout + done.stderr
     assert done.returncode == 0, said
     for name in ("sweeps", "mine"):
         assert f"Adding {name}.html" in said
         assert f"Adding {name}.csv" not in said
     assert "WARNING" not in said  # of a caption that is no reStructuredText
-    text = (study / "report.html").read_text(encoding="utf-8")
+    text = (study / "snakemake.html").read_text(encoding="utf-8")
     assert "Sweeps: one axis varied at a time" in text
     assert (finished / "tables/sweeps.html").exists()
 

@@ -60,8 +60,8 @@ Cell = tuple[tuple[float, float], ...]
 ROUNDING = 1e3 * float(np.finfo(float).eps)
 """Rounding of |L_d' M L_d^-1|, relative to the product of the Frobenius norms of its factors.
 
-First-order bounds of the products, the triangular solve and the exponential have factors of some
-ten to a hundred: the number of rows, and how often the model is applied.
+An allowance, not a proof: the worst case of a triangular solve carries the condition of L_d, which
+this leaves out. In 300 ill-conditioned cases of 35 rows the error was at most a thousandth of it.
 """
 
 
@@ -111,7 +111,7 @@ class AgeCertificate:
     tolerance: float  # for rounding, part of the contraction
     cells: int  # that were covered
     open_cell: Cell | None  # one that is not
-    falls_at_corners: bool  # False: at a corner of the open cell some V does not fall
+    falls_at_corners: bool  # False: at a corner of the open cell some V is not shown to fall
 
 
 def age_mode(lqg: Lqg, plant: Plant, age: int, next_age: int) -> FloatArray:

@@ -1,4 +1,4 @@
-"""The colour of a user: the same in viewers and in pictures of environments."""
+"""The colour of a user: the same in viewers, on pages of logs and in pictures of environments."""
 
 from __future__ import annotations
 

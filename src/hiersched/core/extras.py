@@ -19,7 +19,6 @@ EXTRA_OF = {
     "pandas": "study",
     "pyarrow": "study",
     "snakemake": "study",
-    "tabulate": "study",
     "jinja2": "study",
     "rerun": "viewer",
     "PIL": "render",

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from hiersched.core.randomness import STREAM_DELAY, draw_uniforms
 from hiersched.policies.files import FilePolicy
 from hiersched.policies.registry import Rule
-from hiersched.scenario import Scenario, ScenarioError, with_values
-from hiersched.scenario.consistency import inconsistencies
+from hiersched.scenario import Scenario, ScenarioError, scenario_faults, with_values
 from hiersched.scenario.schema import (
     Family,
     GainMethod,
@@ -365,7 +364,7 @@ def _repeated_kinds(scenario: Scenario, num_robots: int) -> dict[str, RobotKind]
     row = scenario.kind_of_robot
     kinds = {
         name: [robot for robot in range(num_robots) if row[robot % len(row)] == number]
-        for number, name in enumerate(scenario.robot_kinds, 1)
+        for number, name in enumerate(sorted(scenario.robot_kinds), 1)
     }
     return {
         name: replace(scenario.robot_kinds[name], robots=tuple(robots))
@@ -610,8 +609,7 @@ def robots_alone(scenario: Scenario, num_robots: int, what: str) -> Scenario:
 
 
 def _checked(variant: Scenario, what: str) -> Scenario:
-    faults = inconsistencies(variant)
-    if faults:
+    if faults := scenario_faults(variant):
         raise ScenarioError("\n".join(f"{what}: {fault}" for fault in faults))
     return variant
 

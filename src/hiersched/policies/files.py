@@ -20,7 +20,7 @@ from pydantic import Field
 from hiersched.core.faults import InputError
 from hiersched.core.parameters import STRICT
 from hiersched.policies.features import num_features
-from hiersched.policies.policy import Agent
+from hiersched.policies.policy import Agent, Weights
 
 if TYPE_CHECKING:
     from hiersched.scenario.schema import Scenario
@@ -167,6 +167,13 @@ class FileAgent(Agent):
     def predict(self, observations: NDArray[np.float32]) -> NDArray[np.floating]:
         """Return actions (rows, U) of observations (rows, …), as the policy's spaces have them."""
         raise NotImplementedError
+
+    def weights(self, features: NDArray[np.float32]) -> Weights:
+        """As in `Agent`, but that the error is a PolicyFileError."""
+        try:
+            return super().weights(features)
+        except ValueError as error:
+            raise PolicyFileError(str(error)) from error
 
     def act(self, features: NDArray[np.float32]) -> NDArray[np.floating]:
         """As in `Agent`."""

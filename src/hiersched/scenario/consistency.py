@@ -618,6 +618,8 @@ def _gain_study(scenario: Scenario) -> list[str]:
     position, heading = study.noise_position_m, study.noise_heading_rad
     pairs = list(zip(position, heading, strict=False))
     noise = f"gain_study.noise_position_m = {list(position)}"
+    varied = {"robot.noise_position_m", "robot.noise_heading_rad"}
+    own = [name for name, kind in scenario.robot_kinds.items() if varied & kind.values.keys()]
     faults += _broken(
         (
             len(position) != len(heading),
@@ -627,6 +629,11 @@ def _gain_study(scenario: Scenario) -> list[str]:
         (
             len(set(pairs)) != len(pairs),
             f"{noise}: every pair with gain_study.noise_heading_rad = {list(heading)} once",
+        ),
+        (
+            bool(position) and bool(own),
+            f"{noise}: must be [] where robots of a kind have noise of their own "
+            f"(robot_kinds.{', '.join(own)})",
         ),
     )
     for name, cell in study.cells.items():

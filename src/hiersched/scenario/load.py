@@ -249,10 +249,16 @@ def with_values(scenario: Scenario, values: Mapping[str, Any], where: str) -> Sc
 
     Values are as they would stand in YAML. ScenarioError if there is no such key, or the values do
     not fit it or the rest of the scenario; `where`, such as the axis that varies them, stands
-    before every fault.
+    before every fault. A key in which robots differ (`robot_kinds`) cannot be varied for all.
     """
     data = scenario_to_dict(scenario)
     for key, value in values.items():
+        for name, kind in scenario.robot_kinds.items():
+            if key in kind.values and "robot_kinds" not in values:
+                raise ScenarioError(
+                    f"{where}.{key}: robots of the kind {name} have their own "
+                    f"(robot_kinds.{name}.values): must be another key"
+                )
         holder: Any = {}
         inner: Any = data
         passed: list[str] = []
@@ -275,14 +281,15 @@ def with_values(scenario: Scenario, values: Mapping[str, Any], where: str) -> Sc
 def kinds_of_robots(scenario: Scenario) -> tuple[Scenario, ...]:
     """Return a scenario for each kind of robot, in which all robots are of that kind.
 
-    The first is for robots of which `robot_kinds` says nothing. ScenarioError as of `with_values`.
+    The first is for robots of which `robot_kinds` says nothing, the others are in the order of
+    `Scenario.kind_of_robot`. ScenarioError as of `with_values`.
     """
     if not scenario.robot_kinds:
         return (scenario,)
     alike = replace(scenario, robot_kinds={})
     kinds = [
         with_values(alike, kind.values, f"robot_kinds.{name}.values")
-        for name, kind in scenario.robot_kinds.items()
+        for name, kind in sorted(scenario.robot_kinds.items())
     ]
     return alike, *kinds
 
@@ -310,12 +317,17 @@ def _validate(merged: Mapping[str, Any], sources: _Sources, *, swept: bool = Fal
         scenario = _adapter().validate_json(text, strict=True)
     except ValidationError as error:
         raise ScenarioError(describe(error, merged, sources)) from error
-    faults = inconsistencies(scenario, swept=swept)
-    if not faults:
-        faults = _kind_faults(scenario)
-    if faults:
+    if faults := scenario_faults(scenario, swept=swept):
         raise ScenarioError("\n".join(f"{path}: {fault}" for fault in faults))
     return scenario
+
+
+def scenario_faults(scenario: Scenario, *, swept: bool = False) -> list[str]:
+    """List what does not fit each other in a scenario whose values are each allowed.
+
+    A `swept` one is a point of a sweep: nothing else of the study runs in it.
+    """
+    return inconsistencies(scenario, swept=swept) or _kind_faults(scenario)
 
 
 def _kind_faults(scenario: Scenario) -> list[str]:
@@ -328,7 +340,7 @@ def _kind_faults(scenario: Scenario) -> list[str]:
         f"robot_kinds.{name}.values: a plant of {kind.robot_sizes[:2]} states and inputs with "
         f"{kind.loop_kind!r} feedback: must be {own.robot_sizes[:2]} and {own.loop_kind!r}, as for "
         "the other robots"
-        for name, kind in zip(scenario.robot_kinds, kinds, strict=True)
+        for name, kind in zip(sorted(scenario.robot_kinds), kinds, strict=True)
         if (kind.robot_sizes, kind.loop_kind) != (own.robot_sizes, own.loop_kind)
     ]
 

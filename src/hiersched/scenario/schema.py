@@ -411,9 +411,12 @@ class Scenario(_Strict):
 
     @property
     def kind_of_robot(self) -> tuple[int, ...]:
-        """Return for each robot 0, or the place of its kind among `robot_kinds`, from 1 on."""
-        kinds = enumerate(self.robot_kinds.values(), 1)
-        own = {robot: number for number, kind in kinds for robot in kind.robots}
+        """Return for each robot 0, or the place of its kind by name, from 1 on.
+
+        By name, since mappings are equal whatever their order.
+        """
+        kinds = enumerate(sorted(self.robot_kinds), 1)
+        own = {robot: n for n, name in kinds for robot in self.robot_kinds[name].robots}
         return tuple(own.get(robot, 0) for robot in range(self.users.num_urllc))
 
     def believed(self, name: str) -> float:

@@ -217,7 +217,9 @@ def _column(values: pd.Series[Any]) -> pd.Series[Any]:
     """Return values of a key as a column of one kind: truths, numbers or text."""
     given = [value for value in values if value is not None]
     kinds = {type(value) for value in given}
-    if kinds <= {bool} or kinds <= {int, float}:
+    if kinds <= {bool}:
+        return values.astype("boolean")
+    if kinds <= {int, float}:
         return values.infer_objects() if len(given) == len(values) else values.astype(float)
     return values.map(
         lambda value: value if value is None or isinstance(value, str) else json.dumps(value)

@@ -1,8 +1,10 @@
 """How the loops of a study grow over the delays that they had: table ``growth`` of its measures.
 
 A row is a point of an experiment under a policy (of the gain study a gain), and there a `span` of
-its windows, ``violated`` or ``calm``: `loop_growth` and the word for it, `loop`; of an evaluation
-the worst `robot`, and `nominal`, `followed` and `in_force` of `LoopGrowth` for it.
+its windows, ``violated`` or ``calm``: `loop_growth` and the word for it, `loop`. Of an evaluation
+and of the gain study it is that of the loop as it runs; of the rest that of the loop without a hold
+of its gains, whose chain has a tenth of the states. Of an evaluation the row has the `robot` that
+is the worst without a hold, and its `nominal`, `followed` and `in_force` of `LoopGrowth`.
 """
 
 from __future__ import annotations
@@ -26,6 +28,8 @@ from hiersched.simulator.gain_source import read_gains
 from hiersched.simulator.loop_growth import greatest_growth, worst_growth, worst_unheld
 from hiersched.study.measure import chain_files
 
+SPANS = "violated", "calm"
+"""Windows of the gain study."""
 LOCAL, UNKNOWN, SHRINKS, GROWS = "local", "not known", "shrinks", "grows"
 """What a loop may be called."""
 
@@ -77,19 +81,24 @@ def _growths(
     if variant.loop_kind == "local":
         yield {"span": "", "loop_growth": math.nan}
         return
-    assert chains is not None  # such runs have them
     schedule = read_gains(results / files.gain_file(design_of(scenario, variant)), variant)
     if experiment.forced:
         # Delays of all robots are drawn alike: together they are one chain.
         variant = gain_variant(point, policy)  # type: ignore[arg-type]  # one of GAINS
-        for span, own in chains.groupby("span", sort=False):
-            yield {"span": span, "loop_growth": greatest_growth(variant, schedule, counts_of(own))}
+        for span in SPANS:  # windows of one sample have no pair of samples
+            own = pd.DataFrame() if chains is None else chains[chains["span"] == span]
+            of_span = math.nan
+            if len(own):
+                of_span = greatest_growth(variant, schedule, counts_of(own))
+            yield {"span": span, "loop_growth": of_span}
+        return
+    if chains is None:  # runs of one sample
+        yield {"span": "", "loop_growth": math.nan}
         return
     counts = robot_counts(chains)
     if experiment.stage == "evaluate":
         robot, growth = worst_growth(variant, schedule, counts)
-        unheld = growth.nominal if variant.control.gain == "nominal" else growth.followed
-        yield {"span": "", "robot": robot, "loop_growth": unheld, **growth._asdict()}
+        yield {"span": "", "robot": robot, "loop_growth": growth.in_force, **growth._asdict()}
         return
     robot, unheld = worst_unheld(variant, schedule, counts)
     yield {"span": "", "robot": robot, "loop_growth": unheld}

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from hiersched.control import GainSchedule, spectral_radius_by_delay
 from hiersched.experiments.points import GAINS, STUDY_PLANTS, Gain, baseline_method, experiments
-from hiersched.scenario import Scenario, delay_steps
+from hiersched.scenario import Scenario, delay_steps, kinds_of_robots
 from hiersched.scenario.schema import GainMethod
 from hiersched.simulator.loop_gains import plant_of
 from hiersched.study.metrics import OFF_TRACK_CM
@@ -45,9 +44,10 @@ def delay_range(scenario: Scenario, bounds_s: tuple[float, float]) -> range:
 
 
 def schedule_state(schedule: GainSchedule, delays: range) -> dict[str, Any]:
-    """Say which gains are in force at some delays, and which of them are certified."""
-    states = dict.fromkeys(schedule.status[delay] for delay in delays)
-    certified = sum(bool(schedule.certified[delay]) for delay in delays)
+    """Say which gains are in force at some delays, and how many are certified for all robots."""
+    kinds = schedule, *schedule.kinds
+    states = dict.fromkeys(kind.status[delay] for delay in delays for kind in kinds)
+    certified = sum(all(bool(kind.certified[delay]) for kind in kinds) for delay in delays)
     last = f"–{delays[-1]}" if len(delays) > 1 else ""
     return {
         "delay_steps": f"{delays[0]}{last}",
@@ -137,7 +137,8 @@ def sweep_points_table(study: Study, experiment: str) -> pd.DataFrame:
             **compared(by_run(group)),
         }
         own_gain = any(
-            (schedule.gains[delay] != schedule.nominal).any() or schedule.input_gains[delay].any()
+            (kind.gains[delay] != kind.nominal).any() or kind.input_gains[delay].any()
+            for kind in (schedule, *schedule.kinds)
             for delay in delays
         )
         ratio = Interval(row["ratio"], row["ratio_lo"], row["ratio_hi"])
@@ -284,16 +285,14 @@ def schedule_table(study: Study) -> pd.DataFrame:
     """Return the gain in force at every delay: status, deviation, certificate, spectral radii."""
     scenario = study.scenario
     rows = []
-    for method in study_methods(scenario):
-        schedule = study.schedule(study.point("gain_study", method).scenario)
-        kind: Literal["network", "split"] = "split" if schedule.kind == "split" else "network"
-        control = replace(scenario.control, loop=kind, sampling_s=schedule.sampling_s)
-        loop = plant_of(replace(scenario, control=control)).closed_loop(schedule.nominal)
+    for kind, variant, schedule in _schedules(study):
+        loop = plant_of(variant).closed_loop(schedule.nominal)
         nominal_radii = spectral_radius_by_delay(*loop, schedule.max_delay_steps)
         for delay, certificate in enumerate(schedule.certificates):
             rows.append(
                 {
                     "method": schedule.method,
+                    **({"robot_kind": kind} if scenario.robot_kinds else {}),
                     "plant": schedule.kind,
                     "delay_steps": delay,
                     "delay_s": delay * schedule.sampling_s,
@@ -306,6 +305,15 @@ def schedule_table(study: Study) -> pd.DataFrame:
                 }
             )
     return pd.DataFrame(rows)
+
+
+def _schedules(study: Study) -> Iterator[tuple[str, Scenario, GainSchedule]]:
+    """Give the gains of every method, kind of robots after kind; the name of the first is empty."""
+    for method in study_methods(study.scenario):
+        variant = study.point("gain_study", method).scenario
+        schedule = study.schedule(variant)
+        names, kinds = ["", *sorted(variant.robot_kinds)], kinds_of_robots(variant)
+        yield from zip(names, kinds, (schedule, *schedule.kinds), strict=True)
 
 
 def study_methods(scenario: Scenario) -> list[GainMethod]:

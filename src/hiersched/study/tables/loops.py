@@ -30,10 +30,10 @@ def has_loop_cells(scenario: Scenario) -> bool:
 def filtered_cells(scenario: Scenario) -> dict[str, str]:
     """Return cells with a filter at a constant delay, of references alone: name, point.
 
-    There the filter believes what is, but for how the reference turns.
+    There the filter believes what is, but for how the reference turns. None where robots differ.
     """
     cells = scenario.gain_study.cells if has_loop_cells(scenario) else {}
-    if not separates(scenario):
+    if scenario.robot_kinds or not separates(scenario):
         return {}
     return {
         name: f"{name}_lqg"
@@ -186,8 +186,10 @@ def moments_table(study: Study) -> pd.DataFrame:
 
 
 def _filter_growth(study: Study) -> float:
-    """Return that of the method lqg of the gain study, NaN without."""
+    """Return that of the method lqg of the gain study; NaN without, or where robots differ."""
     scenario = study.scenario
+    if scenario.robot_kinds:
+        return math.nan
     if "lqg" not in scenario.gain_study.methods or STUDY_PLANTS["lqg"] != scenario.loop_kind:
         return math.nan
     return filter_growth(*_filter_at(study, "gain_study", "lqg"))

@@ -27,14 +27,16 @@ NONE_NOTE = (
 )
 LOOP_NOTE = (
     "`loop`: whether the second moment of the linear loop shrinks or grows over the delays that "
-    "the logs have, worlds together, of the user for whom it grows most, without a hold of its "
-    "gains; `loop_growth`: its factor a sample. `not known`: delays too long to tell, or a filter "
-    "whose beliefs are wrong; `local`: nothing of the loop crosses the network."
+    "the logs have, worlds together, of the user for whom it grows most without a hold of its "
+    "gains: in the evaluation as it runs, elsewhere without the hold; `loop_growth`: its factor a "
+    "sample. A filter's is that on a straight line. `not known`: delays too long to tell, or a "
+    "filter whose beliefs are wrong; `local`: nothing of the loop crosses the network."
 )
 FORCED_LOOP_NOTE = (
     "`…loop`: whether the second moment of the linear loop, as it runs, shrinks or grows over the "
-    "delays of these windows, all robots together; `…loop_growth`: its factor a sample. `not "
-    "known`: delays too long to tell, or a filter whose beliefs are wrong."
+    "delays of these windows, all robots together; `…loop_growth`: its factor a sample. A filter's "
+    "is that on a straight line. `not known`: delays too long to tell, or a filter whose beliefs "
+    "are wrong."
 )
 TROUBLE_NOTE = (
     "Shares of robots: `off_track`, over 10 cm in a window; `saturated`, at a control limit for "

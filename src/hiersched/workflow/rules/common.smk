@@ -7,6 +7,7 @@ import sys
 import textwrap
 from pathlib import Path
 
+from hiersched.core.extras import MissingExtraError
 from hiersched.core.faults import printable
 from hiersched.experiments import dependencies, files
 from hiersched.experiments.feasible import load_study
@@ -56,7 +57,7 @@ if workflow.is_main_process:  # not a job, which reads this file on its node onc
     begin_run(Path(".snakemake"))
 try:
     SCENARIOS = load_scenarios()
-except ScenarioError as error:
+except (ScenarioError, MissingExtraError) as error:
     sys.exit(f"error: {printable(str(error))}")
 
 NOTES = "\n".join(map(str, parameter_notes()))
