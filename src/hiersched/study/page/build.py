@@ -67,10 +67,8 @@ def write_study_page(scenario: Scenario, results: Path, jobs: Sequence[str] = ()
         scenario=scenario.name,
         yaml=scenario_to_yaml(scenario),
         claims=_claims(scenario, results),
-        figures=[_figure(thing, results) for _, thing in sorted(shown(FIGURES, scenario).items())],
-        tables=[
-            _table(thing, scenario, results) for _, thing in sorted(shown(TABLES, scenario).items())
-        ],
+        figures=[_figure(figures[name], results) for name in sorted(figures)],
+        tables=[_table(tables[name], scenario, results) for name in sorted(tables)],
         provenance=_provenance(scenario),
         seeds=_seeds(scenario),
         digests=_digests(scenario, results),
