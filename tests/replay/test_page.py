@@ -151,7 +151,7 @@ def test_every_profile_shows_what_it_has(
     wanted = {
         "full": {"Queue", "Wait of the oldest packet", "Network delay", "Tracking error"},
         "compact": {"Queue", "Rate", "Tracking error", "Delay in force"},
-        "decisions": {"Queue, mean of a slice", "Reward of an agent"},
+        "decisions": {"Mean queue of a slice", "Reward of an agent"},
         "robots": {"Tracking error", "Delay in force"},
     }
     for profile, path in logs.items():

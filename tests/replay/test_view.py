@@ -209,8 +209,9 @@ def test_plots_are_of_fields_that_exist() -> None:
         lines = lines_of(plot, dims)
         fields = {f.name: f for f in TOPICS[plot.topic].fields}
         assert len(lines) == sum(np.prod(fields[name].sized(dims.sizes)) for name in plot.fields)
-        units = {fields[name].unit.rstrip("s") for name in plot.fields}
-        assert units == {plot.unit.rstrip("s") or "1"} or (units, plot.unit) == ({""}, "s")
+        spoken = {"packet": "packets", "sample": "samples", "1": ""}
+        assert {spoken.get(u, u) for u in (fields[f].unit for f in plot.fields)} == {plot.unit}
+        assert bool(plot.page_unit) == (plot.scale != 1.0)
 
 
 def test_a_user_has_one_colour_in_every_plot() -> None:

@@ -48,7 +48,7 @@ ALLOCATION = Plot("Allocation of resource blocks", "/allocation", ("prb_owner",)
 """An image: the owner of every PRB over time."""
 PANELS = (
     Plot("Queue", "/queue", ("backlog_packets",), "packets"),
-    Plot("Queue, mean of a slice", "/delay", _SLICES_QUEUE, "packets"),
+    Plot("Mean queue of a slice", "/delay", _SLICES_QUEUE, "packets"),
     Plot("Wait of the oldest packet", "/delay", ("hol_delay_s",), "s", "ms", 1e3, deadline=True),
     Plot("Late packets in a slot", "/delay", ("late_packets",), "packets"),
     Plot("Late packets of a slice", "/delay", _SLICES_LATE, "packets"),
@@ -165,7 +165,7 @@ def left_out(log: LogReader, path: str) -> str:
         panel.title
         for panel in PANELS
         if log.profile != "robots" or panel.topic == "/robots"  # of which nothing else happens
-        if {*panel.fields} <= {field.name for field in full[panel.topic].fields}
+        if {*panel.fields} <= {field.name for field in full[panel.topic].fields_in("full")}
         if panel.topic not in log.topics or not {*panel.fields} <= {*log.known_fields(panel.topic)}
     ]
     if log.profile == "full" or not lacking:
