@@ -246,7 +246,10 @@ def study_files() -> str:
         path = found if isinstance(found, str) else found[0]
         rows.append((code(path), first_sentence(function.__doc__)))
     rows += [
-        ("`tables/<table>.csv` `tables/<table>.md`", "A table, to compute with and to read."),
+        (
+            "`tables/<table>.csv` `tables/<table>.md` `tables/<table>.html`",
+            "A table, to compute with and, unless it is for that alone, to read.",
+        ),
         ("`figures/<figure>.svg` `figures/<figure>.png`", "A figure."),
         ("`claims/claim<N>.json`", "A claim by itself."),
         ("`logs/` `benchmarks/`", "What each job printed, and how long it took."),

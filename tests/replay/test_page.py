@@ -78,6 +78,7 @@ def test_numbers_are_those_of_the_log(log: Path) -> None:
         ("Wait of the oldest packet", "hol_delay_s", 1000.0),
         ("Late packets in a slot", "late_packets", 1.0),
         ("Tracking error", "tracking_error_m", 100.0),
+        ("Gain in force", "gain_delay_steps", 1.0),
     ):
         lines = numbers_of(content, panels[title]["numbers"]).reshape(panels[title]["lines"], -1)
         np.testing.assert_allclose(lines, scale * fields[name].T, rtol=1e-6)
@@ -142,22 +143,30 @@ def profile_logs(study: Path) -> dict[str, Path]:
     return found
 
 
-def test_every_profile_shows_what_it_has(study: Path, tmp_path: Path) -> None:
+def test_every_profile_shows_what_it_has(
+    study: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
     logs = profile_logs(study)
     assert set(logs) == {"full", "compact", "decisions", "robots"}
     wanted = {
         "full": {"Queue", "Wait of the oldest packet", "Network delay", "Tracking error"},
         "compact": {"Queue", "Rate", "Tracking error", "Delay in force"},
-        "decisions": {"Queue, mean of a slice", "Reward of an agent"},
+        "decisions": {"Mean queue of a slice", "Reward of an agent"},
         "robots": {"Tracking error", "Delay in force"},
     }
     for profile, path in logs.items():
-        write_log_page(path, tmp_path / f"{profile}.html")
+        assert main(["report", str(path), "--out", str(tmp_path / f"{profile}.html")]) == 0
+        said = capsys.readouterr().err
         content = content_of(path)
         titles = {panel["title"] for panel in content["panels"]}
         assert wanted[profile] <= titles, profile
         assert ("Allocation of resource blocks" in titles) == (profile != "robots")
         assert ("Wait of the oldest packet" in titles) == (profile == "full")
+        noted = [note for note in content["notes"] if "--out full.mcap" in note]
+        assert len(noted) == (profile != "full")
+        assert said == (f"{path}: " if noted else "") + "".join(
+            note[8:-1].replace(path.name, str(path)) + "\n" for note in noted
+        )
         names = [user["name"] for user in content["users"]]
         assert names[0] == ("robot 0" if profile == "robots" else "URLLC 0")
 

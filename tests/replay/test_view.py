@@ -209,7 +209,9 @@ def test_plots_are_of_fields_that_exist() -> None:
         lines = lines_of(plot, dims)
         fields = {f.name: f for f in TOPICS[plot.topic].fields}
         assert len(lines) == sum(np.prod(fields[name].sized(dims.sizes)) for name in plot.fields)
-        assert "[" in plot.title, "no unit"
+        spoken = {"packet": "packets", "sample": "samples", "1": ""}
+        assert {spoken.get(u, u) for u in (fields[f].unit for f in plot.fields)} == {plot.unit}
+        assert bool(plot.page_unit) == (plot.scale != 1.0)
 
 
 def test_a_user_has_one_colour_in_every_plot() -> None:
@@ -337,6 +339,10 @@ def test_small_logs_are_shown_as_far_as_they_go(
     assert main(["export", str(log), "--viewer", "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().err
     assert f"profile {profile}" in said
+    lacking = set(said.partition("leaves out: ")[2].partition(".")[0].split(", "))
+    assert "Gain in force" in lacking
+    assert not lacking & {plot.title for plot in panels.plots}
+    assert ("Queue" in lacking) == (profile == "decisions")
     assert f"hiersched replay {log} --out full.mcap" in said
 
 
@@ -387,6 +393,37 @@ def test_view_without_rerun_says_what_to_install(
     assert "pip install 'hiersched[viewer]'" in capsys.readouterr().err
     with pytest.raises(MissingExtraError, match=r"pip install 'hiersched\[viewer\]'"):
         show_in_rerun(study / LOG)
+
+
+def test_a_recording_is_written_in_full_or_not_at_all(
+    study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    log = tmp_path / "run.mcap"
+    log.write_bytes((study / LOG).read_bytes())
+    before = log.read_bytes()
+    for words in (
+        ["view", str(log), "--save", str(log)],
+        ["report", str(log), "--out", str(log)],
+        ["export", str(log), "--viewer", "--out", str(tmp_path / "v")],
+    ):
+        if words[0] == "export":
+            (tmp_path / "v").mkdir()
+            (tmp_path / "v/viewer.mcap").symlink_to(log)
+        assert main([*words, "--overwrite"]) == 2, words
+        assert "is the file to be read" in capsys.readouterr().err
+    assert log.read_bytes() == before
+    (tmp_path / "a.rrd").write_bytes(b"kept")
+    with pytest.raises(FileExistsError, match=r"a\.rrd: exists; --overwrite replaces it"):
+        show_in_rerun(log, tmp_path / "a.rrd")
+    pytest.importorskip("rerun.chunk", reason="needs rerun-sdk (the extra viewer)")
+    with monkeypatch.context() as broken:
+        broken.setattr("hiersched.replay.view.write_viewer_topics", lambda *_: 1 / 0)
+        with pytest.raises(ZeroDivisionError):
+            show_in_rerun(log, tmp_path / "a.rrd", overwrite=True)
+    assert (tmp_path / "a.rrd").read_bytes() == b"kept"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["a.rrd", "run.mcap", "v"]
+    show_in_rerun(log, tmp_path / "a.rrd", overwrite=True)
+    assert (tmp_path / "a.rrd").read_bytes() != b"kept"
 
 
 def test_rerun_reads_every_bit(study: Path) -> None:
@@ -474,7 +511,7 @@ def test_rerun_plots_users_in_their_colours(
     assert got == sorted((line.name, packed(line.colour)) for line in lines)
     titles = {row[0] for rows in column(reader, "ViewBlueprint:display_name", store).values()
               for row in rows}  # fmt: skip
-    assert {plot.title for plot in panels.plots} <= titles
+    assert {plot.heading for plot in panels.plots} <= titles
 
 
 def test_rerun_draws_robots_and_trails_in_their_users_colours(recordings: dict[str, Any]) -> None:
@@ -518,7 +555,7 @@ def test_a_headless_rerun_opens_every_view(study: Path, tmp_path: Path) -> None:
         views = {view.name: view for view in viewer.get_state().views}
         (tmp_path / "a.png").write_bytes(viewer.take_screenshot())
     with LogReader(study / LOG) as log:
-        titles = {plot.title for plot in panels_of(log).plots}
+        titles = {plot.heading for plot in panels_of(log).plots}
     assert titles <= set(views)
     assert [view.name for view in views.values() if view.reports] == []
     pixels = np.asarray(image.open(tmp_path / "a.png").convert("RGB")).reshape(-1, 3)

@@ -94,11 +94,18 @@ def test_what_looks_like_markup_is_text(smoke_scenario: Scenario) -> None:
 @pytest.mark.parametrize(
     ("name", "text"),
     [
-        ("urllc_late_share", "URLLC late share"),
-        ("embb_delay_p99_s", "eMBB delay 99 % quantile [s]"),
-        ("delay_steps", "Delay [samples]"),
-        ("urllc_rate_mbps_median", "URLLC rate median [Mbit/s]"),
+        ("urllc_rate_mbps", "URLLC rate [Mbit/s]"),
+        ("embb_rate_mbps_median", "eMBB rate median [Mbit/s]"),
+        ("tracking_error_cm", "Tracking error [cm]"),
         ("tracking_error_cm_over_own", "Tracking error over own"),
+        ("urllc_late_share", "URLLC late share"),
+        ("urllc_delay_p99_s", "URLLC delay 99 % quantile [s]"),
+        ("control_saturations_per_s", "Control saturations [1/s]"),
+        ("delay_steps", "Delay [samples]"),
+        ("mean_square_backlog", "Mean square backlog [packets²]"),
+        ("noise_heading_rad", "Noise heading [rad]"),
+        ("policy", "Policy"),
+        ("slots", "Slots"),
     ],
 )
 def test_headings_are_words_and_a_unit(name: str, text: str) -> None:

@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
 from hiersched.experiments import files
 from hiersched.scenario import Scenario
 from hiersched.study.built_in import shown
-from hiersched.study.headings import heading
+from hiersched.study.figures.style import policy_look
+from hiersched.study.outputs import run_files, source_files
 from hiersched.study.page import write_study_page
 from hiersched.study.page.build import MOST_SVG_BYTES, _ranges
 from hiersched.study.registry import CLAIMS, FIGURES, TABLES
+from hiersched.study.show import write_table
 
 BAD = "<img src=x onerror='window.hacked=1'><script>window.hacked=1</script>"
 SVG = "<svg xmlns='http://www.w3.org/2000/svg'><rect width='9' height='9'/></svg>"
@@ -28,27 +32,6 @@ edf,2,2e-05,100.0,,
 """
 
 
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("urllc_rate_mbps", "URLLC rate [Mbit/s]"),
-        ("embb_rate_mbps_median", "eMBB rate median [Mbit/s]"),
-        ("tracking_error_cm", "Tracking error [cm]"),
-        ("tracking_error_cm_over_own", "Tracking error over own"),
-        ("urllc_late_share", "URLLC late share"),
-        ("urllc_delay_p99_s", "URLLC delay 99 % quantile [s]"),
-        ("control_saturations_per_s", "Control saturations [1/s]"),
-        ("delay_steps", "Delay [samples]"),
-        ("mean_square_backlog", "Mean square backlog [packets²]"),
-        ("noise_heading_rad", "Noise heading [rad]"),
-        ("policy", "Policy"),
-        ("slots", "Slots"),
-    ],
-)
-def test_headings_have_words_and_units(name: str, text: str) -> None:
-    assert heading(name) == text
-
-
 def test_seeds_are_listed_as_runs() -> None:
     assert _ranges((1, 2, 3, 4, 7, 9, 10)) == "1 to 4, 7, 9, 10"
 
@@ -57,8 +40,16 @@ def test_seeds_are_listed_as_runs() -> None:
 def results(smoke_scenario: Scenario, tmp_path: Path) -> Path:
     """Folder of a study whose files hold markup wherever they hold text."""
     folder = tmp_path / "smoke"
-    for name in ("figures", "tables", "benchmarks", "runs/evaluate/pf", "measures/runs"):
+    for name in ("figures", "tables", "benchmarks"):
         (folder / name).mkdir(parents=True)
+    stray = ("runs/evaluate/gone/seed1.mcap", "measures/gone.parquet", "gains/gone.json")
+    for name in (*run_files(smoke_scenario), *source_files(smoke_scenario), *stray):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(b"x" * 1234)
+    for job in ("evaluate_pf", "gone"):
+        (folder / f"benchmarks/{job}.tsv").write_text(
+            "s\th:m:s\tmax_rss\tcpu_time\n6.25\t0:00:06\t326.5\t6.0\n"
+        )
     for name in shown(FIGURES, smoke_scenario):
         for end in ("svg", "png"):
             (folder / f"figures/{name}.{end}").write_text(SVG)
@@ -81,15 +72,12 @@ def results(smoke_scenario: Scenario, tmp_path: Path) -> Path:
     }
     document = {"level": 0.95, "rule": f"A rule {BAD}", "claims": [claim]}
     (folder / files.CLAIMS[0]).write_text(json.dumps(document))
-    (folder / "benchmarks/evaluate_pf.tsv").write_text(
-        "s\th:m:s\tmax_rss\tcpu_time\n6.25\t0:00:06\t326.5\t6.0\n"
-    )
-    (folder / "runs/evaluate/pf/seed1.mcap").write_bytes(b"x" * 1234)
     return folder
 
 
 def test_a_page_has_all_that_a_study_shows(smoke_scenario: Scenario, results: Path) -> None:
-    text = write_study_page(smoke_scenario, results).read_text(encoding="utf-8")
+    jobs = ("evaluate_pf", "evaluate_edf")  # the second has left no times
+    text = write_study_page(smoke_scenario, results, jobs).read_text(encoding="utf-8")
     figures, tables = shown(FIGURES, smoke_scenario), shown(TABLES, smoke_scenario)
     assert re.findall(r'<figure id="figure-(\w+)">', text) == sorted(figures)
     named = {name for name in tables if f"tables/{name}.csv" in text}
@@ -97,12 +85,40 @@ def test_a_page_has_all_that_a_study_shows(smoke_scenario: Scenario, results: Pa
     read = {name for name, thing in tables.items() if thing.columns != ()}
     assert set(re.findall(r'id="table-(\w+)"', text)) == read
     assert len(shown(CLAIMS, smoke_scenario)) > 5  # and yet those of the file are shown
-    assert text.count('class="verdict"') == 1
+    assert text.count('<td data-key="depends"') == 1
     assert "learning" in re.findall(r"<pre>(.*?)</pre>", text, re.S)[0]  # the scenario
     for wanted in ("1,234", "6.2", "326.5", "101, 102", "numpy 2", "hiersched report"):
         assert wanted in text, wanted
+    assert "gone" not in text  # what the scenario does not ask for
+    logs = [name for name in run_files(smoke_scenario) if name.endswith(".mcap")]
+    assert all(f">{name}<" in text for name in (*logs, *source_files(smoke_scenario)))
+    assert "Times of 1 jobs" in text
     assert "0.25 " not in text  # four digits, no more
     assert "slope of <code>rate</code> &lt;img" in text
+
+
+def test_both_pages_say_the_same_of_a_cell(smoke_scenario: Scenario, results: Path) -> None:
+    thing = shown(TABLES, smoke_scenario)["policies"]
+    rows = pd.DataFrame(
+        {
+            "policy": ["drift_plus_penalty", "ddpg", ""],
+            "seeds": [12345, 2, 3],
+            "urllc_rate_mbps": [0.1234567, math.inf, math.nan],
+            "loop": ["0.1234567", None, "grows"],
+            "best_classical": [True, None, False],
+        }
+    )
+    write_table(thing, rows, results / "tables", smoke_scenario)
+    page = write_study_page(smoke_scenario, results)
+    section = re.findall(r'id="table-policies">(.*?)</table>', page.read_text("utf-8"), re.S)[0]
+    own = (results / "tables/policies.html").read_text("utf-8")
+    for tag in ("th", "td"):
+        cells = re.findall(rf"<{tag}[^>]*>(.*?)</{tag}>", own)
+        assert cells == re.findall(rf"<{tag}[^>]*>(.*?)</{tag}>", section)
+    drift, learned, none = (cells[i : i + 5] for i in (0, 5, 10))
+    assert drift[0] == policy_look("drift_plus_penalty", smoke_scenario).label
+    assert (drift[3], learned[3], none[3]) == ("yes", "–", "no")
+    assert none[0] == "–"
 
 
 def test_a_large_drawing_is_shown_as_pixels(smoke_scenario: Scenario, results: Path) -> None:

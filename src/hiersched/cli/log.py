@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import shlex
 import sys
 from collections import Counter
 from pathlib import Path
@@ -12,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 from hiersched.cli.options import add_overwrite
 from hiersched.core.faults import blaming_input
-from hiersched.core.files import refuse_existing
 
 if TYPE_CHECKING:
     from hiersched.log import LogReader
@@ -232,10 +230,8 @@ def _export(parsed: argparse.Namespace) -> int:
 def _view(parsed: argparse.Namespace) -> int:
     from hiersched.replay.view import show_in_rerun
 
-    if parsed.save:
-        with blaming_input(FileExistsError):
-            refuse_existing(parsed.save, overwrite=parsed.overwrite)
-    show_in_rerun(parsed.log, parsed.save)
+    with blaming_input(FileExistsError):
+        show_in_rerun(parsed.log, parsed.save, overwrite=parsed.overwrite)
     _note_what_is_left_out(parsed.log)
     return 0
 
@@ -247,18 +243,16 @@ def _report(parsed: argparse.Namespace) -> int:
     out = Path(parsed.out) if parsed.out else source.with_suffix(".html")
     with blaming_input((ValueError, FileExistsError)):
         print(write_log_page(source, out, parsed.start, parsed.stop, overwrite=parsed.overwrite))
+    _note_what_is_left_out(parsed.log)
     return 0
 
 
 def _note_what_is_left_out(path: str) -> None:
-    """Say that views of a small log have fewer panels, and how to have all of them."""
+    """Say which panels views of a small log lack, and how to have them."""
     from hiersched.log import LogReader
+    from hiersched.replay.panels import left_out
 
     with LogReader(path, verify="chunks") as log:
-        profile = log.profile
-    if profile != "full":
-        print(
-            f"{path}: a log of the profile {profile}, shown as far as it goes; for all panels make "
-            f"a full one: hiersched replay {shlex.quote(path)} --out full.mcap",
-            file=sys.stderr,
-        )
+        text = left_out(log, path)
+    if text:
+        print(f"{path}: {text}", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""The colour of a user: the same in viewers, on pages of logs and in pictures of environments."""
+"""Colours of users and slices: the same in viewers, on pages and in pictures of environments."""
 
 from __future__ import annotations
 
@@ -6,6 +6,9 @@ import colorsys
 
 import numpy as np
 from numpy.typing import NDArray
+
+SLICE_COLOURS: NDArray[np.uint8] = np.array([(240, 150, 40), (70, 150, 240)], np.uint8)
+"""Of URLLC and eMBB, where something is of a whole slice."""
 
 
 def user_colours(num_urllc: int, num_embb: int) -> NDArray[np.uint8]:

@@ -10,10 +10,21 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-def refuse_existing(*paths: str | os.PathLike[str], overwrite: bool = False) -> None:
-    """Raise FileExistsError if a file exists already, unless it is to be overwritten."""
+def refuse_existing(
+    *paths: str | os.PathLike[str],
+    overwrite: bool = False,
+    source: str | os.PathLike[str] | None = None,
+) -> None:
+    """Raise FileExistsError if a file exists already, unless it is to be overwritten.
+
+    The file that is read to write them, `source`, is never overwritten.
+    """
     for path in paths:
-        if os.path.exists(path) and not overwrite:
+        if not os.path.exists(path):
+            continue
+        if source is not None and os.path.exists(source) and os.path.samefile(source, path):
+            raise FileExistsError(f"{path}: is the file to be read, which nothing replaces")
+        if not overwrite:
             raise FileExistsError(f"{path}: exists; --overwrite replaces it")
 
 

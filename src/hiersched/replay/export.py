@@ -75,7 +75,8 @@ def export_for_viewers(
 
     ``viewer.mcap`` has poses, trails and images of the allocation, ``foxglove.json`` a layout for
     both files: of what the log has fields for. LogError if the log is damaged or has no
-    slots; FileExistsError if one of the files is there already, unless told to `overwrite` it.
+    slots; FileExistsError if one of the files is there already, unless told to `overwrite` it, or
+    is the log.
     """
     from hiersched.replay.foxglove import foxglove_layout
     from hiersched.replay.panels import panels_of
@@ -84,7 +85,7 @@ def export_for_viewers(
     with LogReader(path) as log:
         layout = foxglove_layout(panels_of(log))
     topics, plan = Path(folder, "viewer.mcap"), Path(folder, "foxglove.json")
-    refuse_existing(topics, plan, overwrite=overwrite)
+    refuse_existing(topics, plan, overwrite=overwrite, source=path)
     topics.parent.mkdir(parents=True, exist_ok=True)
     write_viewer_topics(path, topics)
     text = json.dumps(layout, indent=2) + "\n"

@@ -66,7 +66,7 @@ def _plot(plot: Plot, panels: Panels) -> dict[str, Any]:
         "isSynced": True,
         "sidebarDimension": 240,
     }
-    return _titled(plot.title, config)
+    return _titled(plot.heading, config)
 
 
 def _below(panels: Panels) -> dict[str, Any]:

@@ -1,20 +1,19 @@
-"""What viewers show of a log: the plots for which it has the fields, lines in users' colours."""
+"""What viewers and pages show of a log: plots of the fields that it has, users in their colours."""
 
 from __future__ import annotations
 
+import math
+import shlex
 from typing import NamedTuple
 
 import numpy as np
 
-from hiersched.core.colours import user_colours
+from hiersched.core.colours import SLICE_COLOURS, user_colours
 from hiersched.log import LogDims, LogError, LogReader
-from hiersched.log.schema import TOPICS
-from hiersched.replay.viewer_topics import TRACKS, has_owners, read_tracks
+from hiersched.log.schema import TOPICS, topics_in
+from hiersched.replay.viewer_topics import IMAGE_SLOTS, TRACKS, has_owners, read_tracks
 
 Colour = tuple[int, int, int]
-
-SLICE_COLOURS: tuple[Colour, Colour] = ((240, 150, 40), (70, 150, 240))
-"""Of URLLC and eMBB, where a line is of a whole slice."""
 
 
 class Plot(NamedTuple):
@@ -23,7 +22,15 @@ class Plot(NamedTuple):
     title: str
     topic: str
     fields: tuple[str, ...]
-    if_any: bool = False  # only where the log has a number that is not 0
+    unit: str = ""  # of the log, in which viewers draw it
+    page_unit: str = ""  # in which pages draw it, if it is another
+    scale: float = 1.0  # from the first unit to the second
+    deadline: bool = False  # whether pages draw the users' deadlines
+
+    @property
+    def heading(self) -> str:
+        """Title and unit in viewers."""
+        return f"{self.title} [{self.unit}]" if self.unit else self.title
 
 
 class Line(NamedTuple):
@@ -35,29 +42,40 @@ class Line(NamedTuple):
     colour: Colour
 
 
-PLOTS = (
-    Plot("Queue [packets]", "/queue", ("backlog_packets",)),
-    Plot("Mean queue [packets]", "/delay", ("backlog_urllc_packets", "backlog_embb_packets")),
-    Plot("Wait of the oldest packet [s]", "/delay", ("hol_delay_s",)),
-    Plot("Late packets [per slot]", "/delay", ("late_packets",)),
-    Plot("Late packets [per slot]", "/delay", ("late_urllc_packets", "late_embb_packets")),
-    Plot("Superseded packets [per slot]", "/queue", ("superseded_packets",), if_any=True),
-    Plot("Network delay in force [samples]", "/robots", ("delay_steps",)),
-    Plot("Gain in force [samples]", "/robots", ("gain_delay_steps",)),
-    Plot("Age of the set-point in force [s]", "/robots", ("set_point_age_s",), if_any=True),
-    Plot("Saturated control [samples per slot]", "/robots", ("control_saturated",), if_any=True),
-    Plot("Tracking error [m]", "/robots", ("tracking_error_m",)),
-    Plot("Multiplier λ [1]", "/delay", ("multiplier",), if_any=True),
-    Plot("Reward [1]", "/delay", ("reward_urllc", "reward_embb")),
+_SLICES_QUEUE = "backlog_urllc_packets", "backlog_embb_packets"
+_SLICES_LATE = "late_urllc_packets", "late_embb_packets"
+ALLOCATION = Plot("Allocation of resource blocks", "/allocation", ("prb_owner",), "PRB")
+"""An image: the owner of every PRB over time."""
+PANELS = (
+    Plot("Queue", "/queue", ("backlog_packets",), "packets"),
+    Plot("Mean queue of a slice", "/delay", _SLICES_QUEUE, "packets"),
+    Plot("Wait of the oldest packet", "/delay", ("hol_delay_s",), "s", "ms", 1e3, deadline=True),
+    Plot("Late packets in a slot", "/delay", ("late_packets",), "packets"),
+    Plot("Late packets of a slice", "/delay", _SLICES_LATE, "packets"),
+    Plot("Superseded packets in a slot", "/queue", ("superseded_packets",), "packets"),
+    ALLOCATION,
+    Plot("Rate", "/allocation", ("rate_mbps",), "Mbit/s"),
+    Plot("Network delay", "/robots", ("network_delay_s",), "s", "ms", 1e3),
+    Plot("Delay in force", "/robots", ("delay_steps",), "samples"),
+    Plot("Gain in force", "/robots", ("gain_delay_steps",), "samples"),
+    Plot("Age of the set-point in force", "/robots", ("set_point_age_s",), "s", "ms", 1e3),
+    Plot("Tracking error", "/robots", ("tracking_error_m",), "m", "cm", 100.0),
+    Plot("Saturated commands in a slot", "/robots", ("control_saturated",), "samples"),
+    Plot("Dexterity index", "/robots", ("dexterity_index",)),
+    Plot("Multiplier", "/delay", ("multiplier",)),
+    Plot("Reward of an agent", "/delay", ("reward_urllc", "reward_embb")),
 )
+"""From top to bottom; plots of what stays 0 throughout are left out of viewers and pages."""
+PLOTS = tuple(panel for panel in PANELS if panel is not ALLOCATION)
+"""Those that are lines."""
 
 
 def lines_of(plot: Plot, dims: LogDims) -> list[Line]:
     """Lines of a plot: a user, and its robot, has the same colour in every one."""
     fields = {field.name: field for field in TOPICS[plot.topic].fields}
     if not fields[plot.fields[0]].shape:
-        slices = zip(plot.fields, ("URLLC", "eMBB"), SLICE_COLOURS, strict=True)
-        return [Line(name, None, text, colour) for name, text, colour in slices]
+        slices = zip(plot.fields, ("URLLC", "eMBB"), SLICE_COLOURS.tolist(), strict=True)
+        return [Line(name, None, text, (r, g, b)) for name, text, (r, g, b) in slices]
     ((name, shape),) = ((name, fields[name].shape) for name in plot.fields)
     urllc, embb = dims.num_urllc, dims.num_embb
     names = [f"URLLC {i}" for i in range(urllc)] + [f"eMBB {urllc + i}" for i in range(embb)]
@@ -69,7 +87,7 @@ def lines_of(plot: Plot, dims: LogDims) -> list[Line]:
 
 TITLES = {
     "plane": "Robots, references pale [grid: 1 m]",
-    "image": "Owner of each PRB (down), last 100 slots",
+    "image": f"{ALLOCATION.title} [PRB, down], last {IMAGE_SLOTS} slots",
     "events": "Events",
 }
 """Titles of the panels that are no plots."""
@@ -92,8 +110,9 @@ class Panels(NamedTuple):
 
     @property
     def rows(self) -> list[tuple[Plot, ...]]:
-        """The plots row by row: one row of up to three, else two."""
-        width = len(self.plots) if len(self.plots) <= 3 else (len(self.plots) + 1) // 2
+        """The plots row by row: one row of up to three, else two and more of up to five."""
+        count = len(self.plots)
+        width = count if count <= 3 else math.ceil(count / max(2, math.ceil(count / 5)))
         return (
             [self.plots[i : i + width] for i in range(0, len(self.plots), width)] if width else []
         )
@@ -133,4 +152,25 @@ def _has(log: LogReader, plot: Plot) -> bool:
     known = log.known_fields(plot.topic) if plot.topic in log.topics else ()
     if not set(plot.fields) <= set(known) or not lines_of(plot, log.dims):
         return False
-    return not plot.if_any or any(log.read(plot.topic, [f])[f].any() for f in plot.fields)
+    return any(log.read(plot.topic, [f])[f].any() for f in plot.fields)
+
+
+def left_out(log: LogReader, path: str) -> str:
+    """Say which panels a small log has no fields for, and how to have them; "" if it has all.
+
+    `path` is what the log is called in the command.
+    """
+    full = topics_in("full")
+    lacking = [
+        panel.title
+        for panel in PANELS
+        if log.profile != "robots" or panel.topic == "/robots"  # of which nothing else happens
+        if {*panel.fields} <= {field.name for field in full[panel.topic].fields_in("full")}
+        if panel.topic not in log.topics or not {*panel.fields} <= {*log.known_fields(panel.topic)}
+    ]
+    if log.profile == "full" or not lacking:
+        return ""
+    return (
+        f"a log of the profile {log.profile}, which leaves out: {', '.join(lacking)}. For these "
+        f"make a full one: hiersched replay {shlex.quote(path)} --out full.mcap"
+    )

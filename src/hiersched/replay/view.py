@@ -13,6 +13,7 @@ import numpy as np
 
 from hiersched.core.colours import user_colours
 from hiersched.core.extras import naming_extras
+from hiersched.core.files import refuse_existing
 from hiersched.log import LogReader
 from hiersched.log.schema import TOPICS
 from hiersched.replay.panels import TITLES, Panels, Plot, lines_of, panels_of
@@ -107,7 +108,7 @@ def _time_series(plot: Plot, panels: Panels) -> Any:
         look = rr.SeriesLines(names=[x.name for x in own], colors=[x.colour for x in own])
         visualizers.append(look.visualizer(mappings=[mapping]))
     return rrb.TimeSeriesView(
-        name=plot.title,
+        name=plot.heading,
         origin=plot.topic,
         contents=[f"+ {plot.topic}"],
         axis_x=rrb.TimeAxis(link="LinkToGlobal"),
@@ -117,39 +118,63 @@ def _time_series(plot: Plot, panels: Panels) -> Any:
 
 
 def show_in_rerun(
-    path: str | os.PathLike[str], save: str | os.PathLike[str] | None = None
+    path: str | os.PathLike[str],
+    save: str | os.PathLike[str] | None = None,
+    *,
+    overwrite: bool = False,
 ) -> Panels:
     """Open a log in Rerun, with the poses, trails and images that the log does not have.
 
-    With `save` a recording (``.rrd``) that opens with the same views is written instead. Time
-    begins at 0. What the log has no fields for is left out; returns what is shown.
-    MissingExtraError without rerun-sdk, LogError if the log is damaged or has no slots.
+    With `save` a recording (``.rrd``) that opens with the same views is written instead, in full or
+    not at all. Time begins at 0. What the log has no fields for is left out; returns what is shown.
+
+    Raises
+    ------
+    FileExistsError
+        If the recording is there already, unless told to `overwrite` it, or is the log.
+    LogError
+        If the log is damaged or has no slots.
+    MissingExtraError
+        Without rerun-sdk.
     """
+    if save is not None:
+        refuse_existing(save, overwrite=overwrite, source=path)
     with naming_extras():
         import rerun as rr
-        from rerun.chunk import McapReader
 
     with LogReader(path) as log:
         panels = panels_of(log)
     recording = rr.RecordingStream(APPLICATION)
-    part = None if save is None else Path(f"{os.fspath(save)}.part")
-    if part is None:
+    if save is None:
         recording.spawn(default_blueprint=rerun_blueprint(panels))
-    else:
+        _send(recording, path)
+        return panels
+    part = Path(f"{os.fspath(save)}.part")
+    try:
         recording.save(part, default_blueprint=rerun_blueprint(panels))
-    with tempfile.TemporaryDirectory() as folder:
-        viewer = Path(folder, "viewer.mcap")
-        write_viewer_topics(path, viewer)
-        for file in (path, viewer):
-            reader = McapReader(file, timeline_type="duration", exclude_topic_regex=["_trail$"])
-            recording.send_chunks(reader.stream())
-    with LogReader(path) as log:
-        _draw_robots(recording, log)
-    recording.flush()
-    recording.disconnect()
-    if part is not None:
-        os.replace(part, os.fspath(save or ""))
+        _send(recording, path)
+        os.replace(part, save)
+    finally:
+        part.unlink(missing_ok=True)
     return panels
+
+
+def _send(recording: Any, path: str | os.PathLike[str]) -> None:
+    """Send a log, and what is drawn beside it, to the end."""
+    from rerun.chunk import McapReader
+
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            viewer = Path(folder, "viewer.mcap")
+            write_viewer_topics(path, viewer)
+            for file in (path, viewer):
+                reader = McapReader(file, timeline_type="duration", exclude_topic_regex=["_trail$"])
+                recording.send_chunks(reader.stream())
+        with LogReader(path) as log:
+            _draw_robots(recording, log)
+        recording.flush()
+    finally:
+        recording.disconnect()
 
 
 def _draw_robots(recording: Any, log: LogReader) -> None:

@@ -59,6 +59,11 @@ class Shown:
         """Module of the function."""
         return self.build.__module__
 
+    def read_columns(self, content: pd.DataFrame) -> pd.DataFrame:
+        """Return the columns of a table that are to be read, as far as it has them."""
+        columns = content.columns if self.columns is None else self.columns
+        return content[[name for name in columns if name in content]]
+
 
 TABLES: Registry[Shown] = Registry("table", part="study")
 FIGURES: Registry[Shown] = Registry("figure", part="study")

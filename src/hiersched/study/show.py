@@ -41,13 +41,14 @@ def show(scenario: Scenario, results: Path, kind: str, name: str, module: str) -
 def write_table(shown: Shown, content: pd.DataFrame, folder: Path, scenario: Scenario) -> None:
     """Write a table: CSV, and HTML and Markdown unless it has no columns to read."""
     from hiersched.core.files import csv_text, write_bytes
+    from hiersched.study.tables.cells import read_table
     from hiersched.study.tables.html import table_page
     from hiersched.study.tables.text import markdown_text
 
-    write_bytes(folder / f"{shown.name}.csv", csv_text(content).encode())
+    csv = write_bytes(folder / f"{shown.name}.csv", csv_text(content).encode())
     if shown.columns != ():
-        columns = shown.columns or content.columns
-        read = content[[name for name in columns if name in content]]
-        text = markdown_text(read, shown.title, shown.note)
+        text = markdown_text(shown.read_columns(content), shown.title, shown.note)
         write_bytes(folder / f"{shown.name}.md", text.encode())
-        write_bytes(folder / f"{shown.name}.html", table_page(shown, read, scenario).encode())
+        # Of the file, as the page of the study has it: both say the same of a cell.
+        page = table_page(shown, read_table(csv), scenario)
+        write_bytes(folder / f"{shown.name}.html", page.encode())

@@ -17,12 +17,7 @@ from hiersched.experiments.points import Point, experiments
 from hiersched.experiments.tune import read_tuning
 from hiersched.scenario import Scenario
 from hiersched.simulator.gain_source import read_gains
-from hiersched.study.measure import (
-    RUN_TABLES,
-    TASK_TABLES,
-    measured_groups,
-    table_file,
-)
+from hiersched.study.measure import RUN_TABLES, TASK_TABLES, measured_groups, table_file
 
 
 class Study:

@@ -6,6 +6,7 @@ import base64
 import hashlib
 import html
 import json
+import re
 from collections.abc import Sequence
 from importlib.resources import files
 from typing import Any
@@ -68,6 +69,11 @@ def page(
 def asset(package: str, name: str) -> str:
     """Return the text of a file that lies beside the modules of a package."""
     return files(package).joinpath(name).read_text(encoding="utf-8")
+
+
+def codes(text: str) -> str:
+    """Return markup of a text in which `words` in backquotes are code; all else is escaped."""
+    return re.sub(r"`([^`]*)`", r"<code>\1</code>", html.escape(text))
 
 
 def data_url(kind: str, data: bytes) -> str:

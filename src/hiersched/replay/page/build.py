@@ -10,18 +10,19 @@ import zlib
 from collections.abc import Iterable, Mapping
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from yaml import YAMLError
 
-from hiersched.core.colours import user_colours
+from hiersched.core.colours import SLICE_COLOURS, user_colours
 from hiersched.core.fields import FIELDS
 from hiersched.core.files import refuse_existing, write_bytes
 from hiersched.core.html import asset, page
 from hiersched.log import Event, LogReader, log_digest, slot_span
 from hiersched.log.schema import MODELS_TOPIC
+from hiersched.replay.panels import ALLOCATION, PANELS, Plot, left_out
 from hiersched.scenario.strict_yaml import parse_yaml
 
 MAX_SLOTS = 10_000
@@ -32,39 +33,7 @@ MAX_EVENTS = 20_000
 _MEANINGS = {field.name: field.meaning for field in FIELDS} | {
     "late_packets": "packets whose deadline fell in the slot, and that were late"
 }
-_SLICE_COLOURS = "#c0392b", "#2463b0"
 _OF_A_USER = re.compile(r"(?:user|robot) (\d+):")
-
-
-class Panel(NamedTuple):
-    """Lines over time: one for each user or robot, or of two fields one for each slice."""
-
-    title: str
-    fields: tuple[str, ...]
-    unit: str = ""
-    scale: float = 1.0  # from the field's unit to this one
-    deadline: bool = False  # whether the users' deadlines are drawn
-
-
-PANELS = (
-    Panel("Queue", ("backlog_packets",), "packets"),
-    Panel("Queue, mean of a slice", ("backlog_urllc_packets", "backlog_embb_packets"), "packets"),
-    Panel("Wait of the oldest packet", ("hol_delay_s",), "ms", 1e3, deadline=True),
-    Panel("Late packets in a slot", ("late_packets",), "packets"),
-    Panel("Late packets of a slice", ("late_urllc_packets", "late_embb_packets"), "packets"),
-    Panel("Superseded packets in a slot", ("superseded_packets",), "packets"),
-    Panel("Allocation of resource blocks", ("prb_owner",), "PRB"),
-    Panel("Rate", ("rate_mbps",), "Mbit/s"),
-    Panel("Network delay", ("network_delay_s",), "ms", 1e3),
-    Panel("Delay in force", ("delay_steps",), "samples"),
-    Panel("Age of the set-point in force", ("set_point_age_s",), "ms", 1e3),
-    Panel("Tracking error", ("tracking_error_m",), "cm", 100.0),
-    Panel("Saturated commands in a slot", ("control_saturated",), "samples"),
-    Panel("Dexterity index", ("dexterity_index",)),
-    Panel("Multiplier", ("multiplier",)),
-    Panel("Reward of an agent", ("reward_urllc", "reward_embb")),
-)
-"""What a page shows of the logs that have it, from top to bottom."""
 
 
 class Numbers:
@@ -112,13 +81,13 @@ def write_log_page(
     Raises
     ------
     FileExistsError
-        If the file is there already, unless told to `overwrite` it.
+        If the file is there already, unless told to `overwrite` it, or is the log.
     LogError
         If the log is damaged.
     ValueError
         If the span runs backwards, or a log with slots has none in it.
     """
-    refuse_existing(out, overwrite=overwrite)
+    refuse_existing(out, overwrite=overwrite, source=path)
     with LogReader(path) as log:
         start, stop = slot_span(log, start_s, stop_s)
         content = log_content(log, start, stop)
@@ -158,7 +127,7 @@ def log_content(log: LogReader, start: int | None, stop: int | None) -> dict[str
         "users": _users(log),
         "slices": [
             {"name": name, "colour": colour}
-            for name, colour in zip(("URLLC", "eMBB"), _SLICE_COLOURS, strict=True)
+            for name, colour in zip(("URLLC", "eMBB"), _css(SLICE_COLOURS), strict=True)
         ],
         "slot_s": log.slot_ns * 1e-9,
         "step": step,
@@ -210,17 +179,22 @@ def _about(log: LogReader, slots: NDArray[Any]) -> list[tuple[str, str]]:
 def _users(log: LogReader) -> list[dict[str, Any]]:
     """Name and colour of each user; of robots that run alone, of each robot."""
     dims = log.dims
-    colours = readable_colours(user_colours(dims.num_urllc, dims.num_embb))
+    colours = _css(user_colours(dims.num_urllc, dims.num_embb))
     alone = log.profile == "robots"
     return [
         {
             "name": f"robot {i}" if alone else f"{'URLLC' if i < dims.num_urllc else 'eMBB'} {i}",
             "slice": int(i >= dims.num_urllc),
-            "colour": "#" + bytes(colour.tolist()).hex(),
+            "colour": colour,
         }
         for i, colour in enumerate(colours)
         if not (alone and i >= dims.num_urllc)
     ]
+
+
+def _css(colours: NDArray[np.uint8]) -> list[str]:
+    """Return colours, shape (N, 3), as ``#rrggbb``, dark enough for white."""
+    return ["#" + bytes(colour.tolist()).hex() for colour in readable_colours(colours)]
 
 
 def readable_colours(colours: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -280,47 +254,56 @@ def _panels(
 ) -> list[dict[str, Any]]:
     """Return every panel that the log has numbers for; those of zeros alone are only named."""
     counts = {log.dims.num_urllc, log.dims.num_urllc + log.dims.num_embb} - {0}
-    of_models = [Panel(f.name, (f.name,), f.unit) for f in log.model_fields if f.count in counts]
+    of_models = [
+        Plot(f.name, MODELS_TOPIC, (f.name,), "" if f.unit == "1" else f.unit)
+        for f in log.model_fields
+        if f.count in counts
+    ]
     found, silent = [], []
-    for panel in (*PANELS, *of_models):
-        if not {*panel.fields} <= fields.keys() or not len(fields[panel.fields[0]]):
+    for plot in (*PANELS, *of_models):
+        if not {*plot.fields} <= fields.keys() or not len(fields[plot.fields[0]]):
             continue
-        content = {"title": panel.title, "unit": "" if panel.unit == "1" else panel.unit}
-        if panel.fields == ("prb_owner",):
+        content = {"title": plot.title, "unit": plot.page_unit or plot.unit}
+        if plot is ALLOCATION:
             owners = numbers.add(fields["prb_owner"][::step])
             found.append({**content, "prbs": log.dims.num_prb, "numbers": owners})
             continue
-        values = np.concatenate([fields[f].reshape(len(fields[f]), -1).T for f in panel.fields])
+        values = np.concatenate([fields[f].reshape(len(fields[f]), -1).T for f in plot.fields])
         if not values.any():
-            silent.append(panel.title)
+            silent.append(plot.title)
             continue
-        found.append({**content, **_lines(panel, values, deadlines, step, numbers)})
+        found.append({**content, **_lines(plot, values, deadlines, step, numbers)})
     if silent:
         notes.append(f"Zero throughout, so not drawn: {', '.join(silent)}.")
     if not deadlines and "hol_delay_s" in fields:
         notes.append("The log does not say the deadlines of its packets.")
+    if text := left_out(log, log.path.name):
+        notes.append(f"This is {text}.")
     return found
 
 
 def _lines(
-    panel: Panel,
+    plot: Plot,
     values: NDArray[Any],
     deadlines: Mapping[str, float],
     step: int,
     numbers: Numbers,
 ) -> dict[str, Any]:
-    """Return what is drawn of a panel; `values` has shape (lines, T)."""
+    """Return what is drawn of a plot; `values` has shape (lines, T)."""
     if values.dtype.kind == "f":  # what is not finite leaves a gap
-        values = np.where(np.isfinite(values), panel.scale * values, np.nan)
+        values = np.where(np.isfinite(values), plot.scale * values, np.nan)
     drawn = [
-        {"name": f"deadline of {name}: {panel.scale * s:g} {panel.unit}", "value": panel.scale * s}
+        {
+            "name": f"deadline of {name}: {plot.scale * s:g} {plot.page_unit}",
+            "value": plot.scale * s,
+        }
         for name, s in deadlines.items()
-        if panel.deadline
+        if plot.deadline
     ]
-    texts = [_MEANINGS.get(name, "of a model") for name in panel.fields]
+    texts = [_MEANINGS.get(name, "of a model") for name in plot.fields]
     return {
         "meaning": "; ".join([*texts, *(str(line["name"]) for line in drawn)]),
-        "slices": len(panel.fields) > 1,
+        "slices": len(plot.fields) > 1,
         "lines": len(values),
         "deadlines": drawn,
         "numbers": numbers.add(extremes(values, step)),

@@ -7,7 +7,7 @@ import json
 import math
 import platform
 import subprocess
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -16,15 +16,15 @@ import pandas as pd
 
 from hiersched.core.extras import naming_extras
 from hiersched.core.files import write_bytes
-from hiersched.core.html import asset, data_url, page
+from hiersched.core.html import asset, codes, data_url, page
 from hiersched.experiments import files
 from hiersched.experiments.fingerprint import PACKAGE_FOLDER
 from hiersched.experiments.points import experiments
 from hiersched.scenario import Scenario, scenario_sha256, scenario_to_yaml
 from hiersched.study.built_in import shown
-from hiersched.study.headings import heading
-from hiersched.study.registry import FIGURES, TABLES, Shown
-from hiersched.study.tables.text import cell_text, interval_text, merged_columns
+from hiersched.study.outputs import run_files, shown_files, source_files
+from hiersched.study.registry import CLAIMS, FIGURES, TABLES, Shown
+from hiersched.study.tables.cells import Cell, Head, read_table, readable
 
 MOST_SVG_BYTES = 500_000
 """A drawing that is larger is shown as the pixels that lie beside it."""
@@ -36,13 +36,6 @@ _SOFTWARE = (
 )
 
 
-class Cell(NamedTuple):
-    """A cell of a table: its text, and the number or text by which it sorts."""
-
-    text: str
-    key: str
-
-
 class Table(NamedTuple):
     """A table on the page."""
 
@@ -50,34 +43,37 @@ class Table(NamedTuple):
     title: str
     note: str
     file: str
-    columns: list[tuple[str, str, bool]]  # heading, name in the file, whether it is of numbers
+    heads: list[Head]
     rows: list[list[Cell]]  # none of a table that is only named
     num_rows: int
 
 
-def write_study_page(scenario: Scenario, results: Path) -> Path:
-    """Write ``report.html`` of a study into its folder `results`, of the files that are there.
+def write_study_page(scenario: Scenario, results: Path, jobs: Sequence[str] = ()) -> Path:
+    """Write ``report.html`` of a study into its folder `results`, which has all its files.
 
     It has the verdicts on claims, every figure, every table to read, and where they come from, in
-    one file that asks no network for anything. Returns its path.
+    one file that asks no network for anything: of what the scenario asks for, whatever else lies in
+    the folder. Of `jobs`, by name, it has the times that were measured. Returns its path.
     """
     with naming_extras():
         import jinja2
+        from markupsafe import Markup
 
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
-    environment.filters["codes"] = _codes
+    environment.filters["codes"] = lambda text: Markup(codes(text))
     template = environment.from_string(asset(__package__, "study.html"))
+    figures, tables = shown(FIGURES, scenario), shown(TABLES, scenario)
     body = template.render(
         scenario=scenario.name,
         yaml=scenario_to_yaml(scenario),
-        claims=_claims(results),
-        figures=[_figure(thing, results) for _, thing in sorted(shown(FIGURES, scenario).items())],
-        tables=[_table(thing, results) for _, thing in sorted(shown(TABLES, scenario).items())],
+        claims=_claims(scenario, results),
+        figures=[_figure(figures[name], results) for name in sorted(figures)],
+        tables=[_table(tables[name], scenario, results) for name in sorted(tables)],
         provenance=_provenance(scenario),
         seeds=_seeds(scenario),
-        digests=_digests(results),
-        jobs=_jobs(results),
-        logs=_logs(results),
+        digests=_digests(scenario, results),
+        jobs=_jobs(jobs, results),
+        logs=_logs(scenario, results),
         results=results.as_posix(),
     )
     text = page(
@@ -89,25 +85,11 @@ def write_study_page(scenario: Scenario, results: Path) -> Path:
     return write_bytes(results / files.PAGE, text.encode())
 
 
-def _codes(text: str) -> Any:
-    """Return markup of a text in which `words` in backquotes are code; all else is escaped."""
-    from markupsafe import Markup, escape
-
-    parts = str(text).split("`")
-    if len(parts) % 2 == 0:
-        return escape(text)
-    return Markup("").join(
-        Markup("<code>{}</code>").format(part) if i % 2 else escape(part)
-        for i, part in enumerate(parts)
-    )
-
-
-def _claims(results: Path) -> dict[str, Any] | None:
+def _claims(scenario: Scenario, results: Path) -> dict[str, Any] | None:
     """Return the document of the verdicts, if the study judges claims."""
-    path = results / files.CLAIMS[0]
-    if not path.exists():
+    if not shown(CLAIMS, scenario):
         return None
-    claims: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    claims: dict[str, Any] = json.loads((results / files.CLAIMS[0]).read_text(encoding="utf-8"))
     return claims
 
 
@@ -120,37 +102,21 @@ def _figure(thing: Shown, results: Path) -> dict[str, str]:
     return {"name": thing.name, "title": thing.title, "note": thing.note, "address": address}
 
 
-def _table(thing: Shown, results: Path) -> Table:
-    """Return a table with the columns of its Markdown, a number and its interval in one cell."""
+def _table(thing: Shown, scenario: Scenario, results: Path) -> Table:
+    """Return a table; a long one, or one to compute with, without its rows."""
     file = f"tables/{thing.name}.csv"
-    content = pd.read_csv(results / file, keep_default_na=False,
-                          na_values=[""])  # fmt: skip
+    content = read_table(results / file)
     is_read = thing.columns != () and len(content) <= MOST_ROWS
-    columns = thing.columns or content.columns
-    merged, names = merged_columns(content[[name for name in columns if name in content]])
-    numeric = {name for name in names if pd.api.types.is_numeric_dtype(content[name])}
-    rows = content.to_dict("records") if is_read else []
+    heads, rows = readable(thing.read_columns(content), scenario) if is_read else ([], [])
     return Table(
         name=thing.name,
         title=thing.title,
         note=thing.note,
         file=file,
-        columns=[(heading(str(name)), str(name), name in numeric) for name in names],
-        rows=[[_cell(row, name, name in merged) for name in names] for row in rows],
+        heads=heads,
+        rows=rows,
         num_rows=len(content),
     )
-
-
-def _cell(row: Mapping[Any, Any], name: str, has_bounds: bool) -> Cell:
-    value = row[name]
-    if has_bounds:
-        text = interval_text(value, row[f"{name}_lo"], row[f"{name}_hi"])
-    else:
-        text = cell_text(value).replace("\\|", "|")
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if is_number and not math.isfinite(value):
-        return Cell(text, "" if math.isnan(value) else str(value).replace("inf", "Infinity"))
-    return Cell(text, str(value))
 
 
 def _provenance(scenario: Scenario) -> list[tuple[str, str]]:
@@ -217,27 +183,27 @@ def _ranges(seeds: Sequence[int]) -> str:
     )
 
 
-def _digests(results: Path) -> list[tuple[str, str]]:
-    """Return the SHA-256 of what the page shows and of what was measured, by file."""
-    found = [results / name for name in files.CLAIMS]
-    for folder in ("tables", "measures", "gains", "tune"):
-        found += sorted((results / folder).rglob("*.*"))
+def _digests(scenario: Scenario, results: Path) -> list[tuple[str, str]]:
+    """Return the SHA-256 of the numbers shown and of what they were made of, by file."""
+    numbers = [name for name in shown_files(scenario) if name.endswith((".csv", ".json"))]
     return [
-        (path.relative_to(results).as_posix(), hashlib.sha256(path.read_bytes()).hexdigest())
-        for path in found
-        if path.is_file() and path.suffix != ".md"
+        (name, hashlib.sha256((results / name).read_bytes()).hexdigest())
+        for name in (*numbers, *source_files(scenario))
     ]
 
 
-def _jobs(results: Path) -> list[list[Cell]]:
-    """Return name, time, CPU time [s] and memory [MB] of every job that was measured."""
+def _jobs(names: Iterable[str], results: Path) -> list[list[Cell]]:
+    """Return name, time, CPU time [s] and memory [MB] of the jobs that were measured."""
     rows = []
-    for path in sorted((results / "benchmarks").glob("*.tsv")):
+    for name in sorted(names):
+        path = results / f"benchmarks/{name}.tsv"
+        if not path.exists():  # Snakemake does not ask for it again
+            continue
         table = pd.read_csv(path, sep="\t")
-        numbers = (float(table[name].sum()) for name in ("s", "cpu_time"))
+        numbers = (float(table[column].sum()) for column in ("s", "cpu_time"))
         memory = float(pd.to_numeric(table["max_rss"], errors="coerce").max())
         cells = [Cell(_plain(value), str(value)) for value in (*numbers, memory)]
-        rows.append([Cell(path.stem, path.stem), *cells])
+        rows.append([Cell(name, name), *cells])
     return rows
 
 
@@ -245,10 +211,11 @@ def _plain(value: float) -> str:
     return f"{value:,.1f}" if math.isfinite(value) else "–"
 
 
-def _logs(results: Path) -> list[list[Cell]]:
+def _logs(scenario: Scenario, results: Path) -> list[list[Cell]]:
     """Return path and size of every log."""
-    rows = []
-    for path in sorted(p for d in (files.RUNS, "train") for p in (results / d).rglob("*.mcap")):
-        name, size = path.relative_to(results).as_posix(), path.stat().st_size
-        rows.append([Cell(name, name), Cell(f"{size:,}", str(size))])
-    return rows
+    names = sorted(name for name in run_files(scenario) if name.endswith(".mcap"))
+    sizes = [(results / name).stat().st_size for name in names]
+    return [
+        [Cell(name, name), Cell(f"{size:,}", str(size))]
+        for name, size in zip(names, sizes, strict=True)
+    ]

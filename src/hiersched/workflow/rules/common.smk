@@ -25,6 +25,7 @@ from hiersched.experiments.turns import begin_run
 from hiersched.scenario import ScenarioError, parameter_notes
 from hiersched.study.built_in import shown
 from hiersched.study.measure import chain_files, measured_files, measured_groups, table_file
+from hiersched.study.outputs import run_files, shown_files, source_files
 from hiersched.study.registry import CLAIMS, FIGURES, TABLES
 from hiersched.study.study import Study
 
@@ -101,23 +102,10 @@ def arguments(name, scenario, *more):
     return " ".join([name, *(shlex.quote(word) for word in given)])
 
 
-def shown_files(scenario):
-    """Everything that a study shows."""
-    names = [f"figures/{name}.{end}" for name in shown(FIGURES, scenario) for end in ("svg", "png")]
-    names += [f"tables/{name}.csv" for name in shown(TABLES, scenario)]
-    names += files.CLAIMS if shown(CLAIMS, scenario) else []
-    return inside(scenario, names)
+# Names of the jobs whose times are measured, by scenario; the page of a study lists them.
+JOBS = {s.name: [] for s in SCENARIOS}
 
 
-def all_logs(scenario):
-    """Every log of a study, and measures of runs that have none."""
-    names = [
-        name
-        for e in experiments(scenario).values()
-        for group in groups(scenario, e)
-        for name in files.group_files(scenario, e, group)
-    ]
-    names += [
-        n for learner in trained_learners(scenario) for n in files.learner_logs(scenario, learner)
-    ]
-    return inside(scenario, names)
+def benchmark_file(scenario, job):
+    JOBS[scenario.name].append(job)
+    return f"{folder(scenario)}/benchmarks/{job}.tsv"

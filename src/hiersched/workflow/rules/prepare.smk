@@ -49,7 +49,7 @@ for s in SCENARIOS:
             log:
                 f"{folder(s)}/logs/gains_{design}.log",
             benchmark:
-                f"{folder(s)}/benchmarks/gains_{design}.tsv"
+                benchmark_file(s, f"gains_{design}")
             threads: 1
             params:
                 spec=spec("gains", dependencies.gains_values(s, design)),
@@ -71,7 +71,7 @@ for s in SCENARIOS:
             log:
                 f"{folder(s)}/logs/stability.log",
             benchmark:
-                f"{folder(s)}/benchmarks/stability.tsv"
+                benchmark_file(s, "stability")
             threads: 1
             params:
                 spec=spec("stability", dependencies.stability_values(s)),

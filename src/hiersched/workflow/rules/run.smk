@@ -15,7 +15,7 @@ for s in SCENARIOS:
                 log:
                     f"{folder(s)}/logs/tune_{cell_of(e)}.log",
                 benchmark:
-                    f"{folder(s)}/benchmarks/tune_{cell_of(e)}.tsv"
+                    benchmark_file(s, f"tune_{cell_of(e)}")
                 priority: 20  # the runs of the cell wait for it
                 threads: 1
                 params:
@@ -48,7 +48,7 @@ for s in SCENARIOS:
                 log:
                     f"{folder(s)}/logs/{e.name}_{group}.log",
                 benchmark:
-                    f"{folder(s)}/benchmarks/{e.name}_{group}.tsv"
+                    benchmark_file(s, f"{e.name}_{group}")
                 threads: 1
                 params:
                     spec=spec(f"{e.name}_{group}", dependencies.run_values(s, e, group), stage),
@@ -73,7 +73,7 @@ for s in SCENARIOS:
             log:
                 f"{folder(s)}/logs/bound.log",
             benchmark:
-                f"{folder(s)}/benchmarks/bound.tsv"
+                benchmark_file(s, "bound")
             threads: 1
             params:
                 spec=spec("bound", dependencies.bound_values(s)),

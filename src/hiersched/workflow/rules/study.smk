@@ -63,7 +63,7 @@ for s in SCENARIOS:
             log:
                 f"{folder(s)}/logs/measure_{group}.log",
             benchmark:
-                f"{folder(s)}/benchmarks/measure_{group}.tsv"
+                benchmark_file(s, f"measure_{group}")
             threads: 1
             params:
                 spec=spec(f"measure_{group}", dependencies.measure_values(s, group), "measure"),
@@ -84,7 +84,7 @@ for s in SCENARIOS:
         log:
             f"{folder(s)}/logs/growth.log",
         benchmark:
-            f"{folder(s)}/benchmarks/growth.tsv"
+            benchmark_file(s, "growth")
         priority: 10  # most tables wait for it
         threads: 1
         params:
@@ -182,8 +182,9 @@ for s in SCENARIOS:
         name:
             f"page_{s.name}"
         input:
-            shown_files(s),
-            all_logs(s),
+            inside(s, shown_files(s)),
+            inside(s, run_files(s)),
+            inside(s, source_files(s)),
         output:
             whole(s, [files.PAGE]),
         log:
@@ -191,7 +192,7 @@ for s in SCENARIOS:
         threads: 1
         params:
             spec=spec("page", dependencies.scenario_values(s)),
-            args=arguments("page", s),
+            args=arguments("page", s, "--jobs", ",".join(JOBS[s.name])),
         message:
             f"Writing the page of {s.name}"
         shell:

@@ -16,7 +16,7 @@ for s in SCENARIOS:
             log:
                 f"{folder(s)}/logs/train_{learner}.log",
             benchmark:
-                f"{folder(s)}/benchmarks/train_{learner}.tsv"
+                benchmark_file(s, f"train_{learner}")
             priority: 50  # most others wait for it
             threads: 1
             params:

@@ -4,5 +4,5 @@ from hiersched.experiments.job import job
 from hiersched.study.page import write_study_page
 
 if __name__ == "__main__":
-    scenario, results, _ = job(__doc__)
-    write_study_page(scenario, results)
+    scenario, results, given = job(__doc__, "jobs")
+    write_study_page(scenario, results, given.jobs.split(","))
