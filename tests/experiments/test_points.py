@@ -474,11 +474,11 @@ def test_a_study_has_what_its_scenario_names(tiny_with: Load) -> None:
 def test_cells_of_other_sizes_repeat_the_row_of_robots(tiny_with: Load) -> None:
     scenario = tiny_with(
         "robot_kinds: {heavy: {robots: [1], values: {robot.actuator_lag_s: 0.2}},"
-        " noisy: {robots: [0], values: {robot.noise_position_m: 0.01}}}"
+        " slippy: {robots: [0], values: {robot.slip_speed_mps: 0.2}}}"
     )
     assert robots_alone(scenario, 5, "test").kind_of_robot == (2, 1, 2, 1, 2)
     fewer = cell_scenario(scenario, (1, 3, 6))
     assert fewer.kind_of_robot == (1,)
-    assert list(fewer.robot_kinds) == ["noisy"]
+    assert list(fewer.robot_kinds) == ["slippy"]
     found, _, _ = load_resolved(scenario_to_yaml(fewer), Path("scenario.yaml"))
     assert found == fewer
