@@ -27,7 +27,7 @@ extensions = [
     "sphinx.ext.viewcode",
     "sphinx_external_toc",
 ]
-include_patterns = ["*.md", "docs/**", "src/hiersched/config/README.md"]
+include_patterns = ["*.md", "docs/**", "config/README.md", "src/hiersched/config/README.md"]
 exclude_patterns = [".*", "results", "build", "dist"]
 external_toc_path = "docs/_toc.yml"
 external_toc_exclude_missing = False
@@ -46,6 +46,7 @@ nb_output_stderr = "remove"  # what compiles, where nothing has been compiled ye
 
 highlight_language = "none"
 default_role = "py:obj"
+viewcode_follow_imported_members = False  # a name has its source where it is defined
 autodoc_typehints = "signature"
 autodoc_member_order = "bysource"
 python_maximum_signature_line_length = 88
