@@ -41,7 +41,7 @@ def files_in(entry: Any) -> Iterator[str]:
 
 
 def test_every_page_is_in_the_navigation_once(project_root: Path) -> None:
-    places = ("*.md", "docs/**/*.md", "docs/**/*.ipynb", "src/**/README.md")
+    places = ("*.md", "config/*.md", "docs/**/*.md", "docs/**/*.ipynb", "src/**/README.md")
     pages = {
         path.relative_to(project_root).with_suffix("").as_posix()
         for place in places
