@@ -220,7 +220,9 @@ def certify_age_functions(
             raise ValueError(f"box[{i}] is {side}; it must be finite, the least value first")
     steps = _Steps(lqg, family, tuple(sides), functions)
     waiting, cells, worst = [tuple(sides)], 0, 0.0
-    while waiting:
+    open_cell: Cell | None = None
+    falls = True
+    while waiting and open_cell is None:
         cell = waiting.pop()
         at_corners = steps.at_corners(cell)
         falls = bool((at_corners < 1.0).all())
@@ -229,23 +231,16 @@ def certify_age_functions(
         if bound < 1.0:
             cells, worst = cells + 1, max(worst, bound)
         elif not falls or cells + len(waiting) + 2 > max_cells:
-            return AgeCertificate(
-                certified=False,
-                contraction=worst,
-                tolerance=float(steps.tolerance.max()),
-                cells=cells,
-                open_cell=cell,
-                falls_at_corners=falls,
-            )
+            open_cell = cell
         else:
             waiting += _halves(cell, int(np.argmax(errors)))
     return AgeCertificate(
-        certified=True,
+        certified=open_cell is None,
         contraction=worst,
         tolerance=float(steps.tolerance.max()),
         cells=cells,
-        open_cell=None,
-        falls_at_corners=True,
+        open_cell=open_cell,
+        falls_at_corners=falls,
     )
 
 

@@ -10,12 +10,13 @@ is the worst without a hold, and its `nominal`, `followed` and `in_force` of `Lo
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
+from hiersched.control import GainSchedule
 from hiersched.control.checks import FloatArray
 from hiersched.control.second_moments import transition_counts
 from hiersched.core.files import write_parquet
@@ -47,6 +48,14 @@ def write_growth(scenario: Scenario, results: Path) -> None:
         if len(chains):
             by = ["experiment", "value", "gain" if "gain" in chains else "policy"]
             of_run |= dict(iter(chains.groupby(by)))
+    schedules: dict[str, GainSchedule] = {}
+
+    def schedule_of(variant: Scenario) -> GainSchedule:
+        name = files.gain_file(design_of(scenario, variant))
+        if name not in schedules:  # reading recomputes its certificates
+            schedules[name] = read_gains(results / name, variant)
+        return schedules[name]
+
     rows = []
     for experiment in experiments(scenario).values():
         for point, policy in experiment.runs(experiment.policies):
@@ -54,7 +63,7 @@ def write_growth(scenario: Scenario, results: Path) -> None:
             labels = {"experiment": experiment.name, "value": point.value, "policy": policy}
             rows += [
                 {**labels, **row, "loop": loop_word(row["loop_growth"], point.scenario)}
-                for row in _growths(scenario, results, experiment, point, policy, own)
+                for row in _growths(schedule_of, experiment, point, policy, own)
             ]
     write_parquet(results / files.GROWTH, pd.DataFrame(rows))
 
@@ -69,8 +78,7 @@ def loop_word(growth: float, scenario: Scenario) -> str:
 
 
 def _growths(
-    scenario: Scenario,
-    results: Path,
+    schedule_of: Callable[[Scenario], GainSchedule],
     experiment: Experiment,
     point: Point,
     policy: str,
@@ -81,7 +89,7 @@ def _growths(
     if variant.loop_kind == "local":
         yield {"span": "", "loop_growth": math.nan}
         return
-    schedule = read_gains(results / files.gain_file(design_of(scenario, variant)), variant)
+    schedule = schedule_of(variant)
     if experiment.forced:
         # Delays of all robots are drawn alike: together they are one chain.
         variant = gain_variant(point, policy)  # type: ignore[arg-type]  # one of GAINS
