@@ -8,8 +8,9 @@ import sys
 from collections.abc import Callable, Generator, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
-from importlib.util import find_spec
+from importlib.util import find_spec, module_from_spec, spec_from_file_location
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 # Before NumPy loads: the bits of a matrix product depend on the number of threads.
@@ -85,6 +86,21 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 def project_root() -> Path:
     """The root folder of the checkout."""
     return Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="session")
+def load_module() -> Callable[[Path], ModuleType]:
+    """A script beside the package, as a module."""
+
+    def load(path: Path) -> ModuleType:
+        spec = spec_from_file_location(path.stem, path)
+        assert spec is not None
+        assert spec.loader is not None
+        module = module_from_spec(spec)
+        spec.loader.exec_module(module)
+        return module
+
+    return load
 
 
 @pytest.fixture(scope="session")
@@ -345,13 +361,11 @@ def other_table(monkeypatch: pytest.MonkeyPatch) -> Callable[..., AbstractContex
 
 
 @pytest.fixture(scope="session")
-def browser(project_root: Path) -> Callable[[], AbstractContextManager[Any]]:
+def browser(
+    project_root: Path, load_module: Callable[[Path], ModuleType]
+) -> Callable[[], AbstractContextManager[Any]]:
     """Start a Chromium without a window; see `browser.py` beside this file."""
-    import importlib.util
-
-    spec = importlib.util.spec_from_file_location("browser", project_root / "tests/browser.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
+    module = load_module(project_root / "tests/browser.py")
     program = module.find_chromium()
     if program is None:
         pytest.skip("needs Chromium")

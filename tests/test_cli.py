@@ -221,6 +221,10 @@ def test_the_core_does_without_the_extras(tmp_path: Path, project_root: Path) ->
         "pandas, which is not installed: pip install 'hiersched[study]'",
         "from hiersched.study.figures.style import policy_look":
         "matplotlib, which is not installed: pip install 'hiersched[study]'",
+        "import hiersched.study.across":
+        "pandas, which is not installed: pip install 'hiersched[study]'",
+        "from hiersched.control import analyse_krasovskii":
+        "cvxpy, which is not installed: pip install 'hiersched[control]'",
         "from hiersched.env import SlicingParallelEnv":
         "pettingzoo, which is not installed: pip install 'hiersched[pettingzoo]'",
     }  # fmt: skip

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import importlib.util
 import inspect
 import json
 import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
+from importlib import import_module
 from operator import attrgetter
 from pathlib import Path
 from types import ModuleType
@@ -46,14 +47,9 @@ def documents(root: Path) -> dict[str, str]:
 
 
 @pytest.fixture(scope="module")
-def generate(project_root: Path) -> ModuleType:
+def generate(project_root: Path, load_module: Callable[[Path], ModuleType]) -> ModuleType:
     """docs/generate.py as a module."""
-    spec = importlib.util.spec_from_file_location("generate", project_root / "docs/generate.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_module(project_root / "docs/generate.py")
 
 
 # What is generated.
@@ -122,7 +118,7 @@ def test_a_slot_passes_the_functions_that_the_page_names(project_root: Path) -> 
     assert [int(number) for number, *_ in rows] == list(range(1, len(rows) + 1))
     assert section.count("\n|") - 2 == len(rows) <= 20
     for _, name, file, text in rows:
-        module = importlib.import_module(f"hiersched.{file.replace('/', '.')}")
+        module = import_module(f"hiersched.{file.replace('/', '.')}")
         assert attrgetter(name)(module).__module__ == module.__name__
         for called in re.findall(r"\(`[\w.]*?(\w+)`(?:, `(\w+)`)?\)", text):
             for other in filter(None, called):

@@ -5,9 +5,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -20,14 +19,9 @@ NOT_IN_THE_SITE = {"src/hiersched/config/new/README"}  # of the folder that `hie
 
 
 @pytest.fixture(scope="module")
-def check_site(project_root: Path) -> ModuleType:
+def check_site(project_root: Path, load_module: Callable[[Path], ModuleType]) -> ModuleType:
     """docs/check_site.py as a module."""
-    spec = importlib.util.spec_from_file_location("check_site", project_root / "docs/check_site.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load_module(project_root / "docs/check_site.py")
 
 
 def files_in(entry: Any) -> Iterator[str]:

@@ -23,7 +23,7 @@ import pytest
 
 from hiersched.log import log_digest
 
-PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "srun", "squeue", "unshare")
+PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "srun", "squeue", "unshare", "setpriv")
 MISSING = [name for name in PROGRAMS if shutil.which(name) is None]
 if find_spec("snakemake_executor_plugin_slurm") is None:
     MISSING.append("hiersched[slurm]")
@@ -85,11 +85,15 @@ def free_port() -> int:
 
 @contextmanager
 def service(command: list[str], environment: dict[str, str], log: Path) -> Iterator[None]:
-    """Run a service within the context, and end it."""
+    """Run a service within the context, and end it; it also ends when this process is killed."""
     with (
         open(log, "wb") as out,
         subprocess.Popen(
-            command, env=environment, stdout=out, stderr=out, start_new_session=True
+            ["setpriv", "--pdeathsig", "TERM", *command],
+            env=environment,
+            stdout=out,
+            stderr=out,
+            start_new_session=True,
         ) as process,
     ):
         try:

@@ -117,11 +117,12 @@ def _show(comparison: Comparison) -> None:
     )
     names = comparison.baseline, comparison.other
     first, second = (max(14, len(name) + 2) for name in names)
-    print(f"{'':<22}{names[0]:>{first}}{names[1]:>{second}}{'difference':>14}  interval")
+    label = max((len(m.name) + 1 for m in comparison.measures), default=0)
+    print(f"{'':<{label}}{names[0]:>{first}}{names[1]:>{second}}{'difference':>14}  interval")
     for m in comparison.measures:
         mean, low, high = m.difference
         print(
-            f"{m.name:<22}{m.baseline:>{first}.6g}{m.other:>{second}.6g}{mean:>+14.4g}  "
+            f"{m.name:<{label}}{m.baseline:>{first}.6g}{m.other:>{second}.6g}{mean:>+14.4g}  "
             f"[{low:.4g}, {high:.4g}] {m.unit}".rstrip()
         )
     if not comparison.partings:

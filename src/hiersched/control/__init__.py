@@ -32,6 +32,7 @@ from hiersched.control.lifted import lift, simulate_random_delays, spectral_radi
 from hiersched.control.lqg import FilterModel, Lqg, design_lqg, simulate_lqg, stationary_filter
 from hiersched.control.lqr import dlqr, latency_compensated, tracking_weights
 from hiersched.control.predictor import input_memory_radii, predictor_gains
+from hiersched.core.extras import naming_extras
 
 if TYPE_CHECKING:
     from hiersched.control.design import GainDesign, GainDesigner, design_gain
@@ -106,11 +107,8 @@ _LATER = ("krasovskii", "razumikhin", "design", "switching", "second_moments")
 def __getattr__(name: str) -> Any:
     """Load on first use what needs cvxpy, or takes long to import."""
     for module in _LATER if name in __all__ else ():
-        try:
+        with naming_extras():
             found = getattr(import_module(f"hiersched.control.{module}"), name, None)
-        except ModuleNotFoundError as error:
-            error.add_note("pip install 'hiersched[control]'")
-            raise
         if found is not None:
             return found
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

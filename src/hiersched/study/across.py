@@ -8,14 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
+from hiersched.core.extras import naming_extras
 from hiersched.core.faults import InputError
 from hiersched.experiments import files
 from hiersched.scenario import ScenarioError
 from hiersched.scenario.fault_text import meant
 from hiersched.scenario.load import resolved_values
-from hiersched.study.tables.text import merged_columns
+
+with naming_extras():
+    import pandas as pd
+
+    from hiersched.study.tables.text import merged_columns
 
 POLICIES = "policies"
 """The table of a study with a row a policy."""
