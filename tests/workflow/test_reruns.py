@@ -45,11 +45,12 @@ ES = {
     for name in ("train", "measure", "task_hold", "task_batch")
     for own in ("es_task", "es_blind")
 }
-LEARNED = {*DDPG, *A2C, *FROZEN, *ES, "bound"}
+OF_RUNS = {"bound", "growth"}  # over all runs
+LEARNED = {*DDPG, *A2C, *FROZEN, *ES, *OF_RUNS}
 SWEEPS = {f"{axis}_classical" for axis in (*AXES, "packets")}
-CLASSICAL = {*SWEEPS, "evaluate_classical", "generalise_classical", "measure_classical", "bound"}
-GAIN_RUNS = {f"gain_{name}_gains" for name in ("study", "grid", "sampling_s", "noise")}
-GAINS = {*GAIN_RUNS, "measure_gains"}
+CLASSICAL = {*SWEEPS, "evaluate_classical", "generalise_classical", "measure_classical", *OF_RUNS}
+GAIN_RUNS = {f"gain_{name}_gains" for name in ("study", "grid", "cells", "sampling_s", "noise")}
+GAINS = {*GAIN_RUNS, "measure_gains", "growth"}
 TASK_RUNS = {"tune_hold", "tune_batch", "task_hold_classical", "task_batch_classical"}
 EVERY_RUN = {*LEARNED, *CLASSICAL, *GAINS, *TASK_RUNS}
 
@@ -153,7 +154,7 @@ def test_a_value_runs_its_dependents(tree: Path, to_run: Callable, shown: set[st
         assert to_run() == {
             *(f"{name}_{group}" for name in ("evaluate", "load", "measure") for group in GROUPS),
             *("gains_schedule_weight_300", "gain_grid_gains", "measure_gains", "stability"),
-            *("bound", *shown),
+            *(OF_RUNS | shown),
         }
     old = "control.sampling_s: [0.02, 0.05]}}\n    ref"
     with edited(
@@ -162,7 +163,7 @@ def test_a_value_runs_its_dependents(tree: Path, to_run: Callable, shown: set[st
         (SMOKE, old, old.replace("0.05", "0.04")),
     ):
         assert to_run() == {
-            *(A2C | {"bound", *shown}),
+            *(A2C | OF_RUNS | shown),
             *(f"{name}_{group}" for name in ("sampling_s", "measure") for group in GROUPS[:2]),
             "gains_schedule_sampling_s_0.04",
         }
@@ -225,7 +226,7 @@ def test_a_plugin_runs_what_it_is_used_for(tree: Path, to_run: Callable) -> None
         (["experiments/bound.py", "experiments/stability.py"], {"bound", "stability"}),
         (
             ["study/measure.py"],
-            {name for name in EVERY_RUN if name.startswith("measure_")},
+            {name for name in EVERY_RUN if name.startswith("measure_")} | {"growth"},
         ),
         (["policies/index_rules.py"], {"kernels", "stability", *EVERY_RUN}),
     ],
@@ -251,6 +252,6 @@ def test_a_missing_log_is_made_again(tree: Path, to_run: Callable) -> None:
         log.write_bytes(content)
         os.utime(log, ns=(stat.st_atime_ns, stat.st_mtime_ns))
     ours = {job for job in found if not job.startswith(("table_", "figure_", "claim"))}
-    assert ours == {"evaluate_classical", "measure_classical", "bound"}
+    assert ours == {"evaluate_classical", "measure_classical", *OF_RUNS}
     assert {"table_policies", "table_bound", "claim10"} <= found
     assert not {"table_table1_parameters", "table_gains", "claim1"} & found
