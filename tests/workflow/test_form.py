@@ -57,7 +57,11 @@ def test_profiles_rerun_what_is_incomplete(project_root: Path, name: str) -> Non
 @pytest.mark.parametrize(
     ("config", "message"),
     [
-        ("scenarios=[papper]", "no such scenario; there are: linear_plant, paper, smoke"),
+        (
+            "scenarios=[papper]",
+            "error: papper: no such scenario; there are: linear_plant, paper, pendulum",
+        ),
+        ("scenarios=[papper]", "did you mean paper?"),
         ("scenario=[paper]", "--config scenario: unknown; allowed: scenarios="),
     ],
 )

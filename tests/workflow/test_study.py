@@ -110,10 +110,14 @@ def test_a_study_without_learners_and_gains_shows_all_it_plans(
 WITHOUT = {
     "learners": (
         "learners: {}\nevaluate: {policies: [pf, edf]}\nsweeps: {policies: [pf]}\n"
-        "generalise: {policies: [pf]}",
+        "generalise: {policies: [pf]}\ntask_study: {policies: []}",
         ("train_", "measure_ddpg", "evaluate_ddpg", "fig2", "fig3", "figX_learn"),
     ),
-    "gains": ("gain_study: {methods: []}", ("gain_", "stability", "measure_gains", "figX_gain")),
+    "gains": (
+        "gain_study: {methods: [], cells: {eight_60ms: null, eight_240ms: null,"
+        " eight_sawtooth: null, zigzag_known_240ms: null}}",
+        ("gain_", "stability", "measure_gains", "figX_gain"),
+    ),
     "cells": ("generalise: {cells: []}", ("generalise", "table_generalisation", "figX_general")),
     "bound": ("bound: {slots_per_log: 0}", ("bound", "table_bound", "figure_figX_bound")),
 }
