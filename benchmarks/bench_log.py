@@ -190,10 +190,10 @@ def stage_seconds(
 
 
 def learned_runner(scenario: Scenario, learner: str, folder: Path) -> PolicySource:
-    """One trained policy, which every world runs."""
+    """As many policies as were trained, each of which every world runs; one a world is logged."""
     path = folder / f"{learner}.json"
     some_policy(scenario, learner).save(path)
-    return learned_policies([path])
+    return learned_policies([path] * len(scenario.learned[learner].seeds))
 
 
 def speeds(fields: dict[str, Any], folder: Path, rounds: int) -> dict[str, float]:

@@ -77,11 +77,15 @@ def _unproven_gains(
     scenario: Scenario, schedule: GainSchedule, fields: Mapping[str, NDArray[Any]]
 ) -> Iterator[Event]:
     of_robots = [(schedule, *schedule.kinds)[kind].status for kind in scenario.kind_of_robot]
+    unproven = {kind for status in of_robots for kind in status} & _UNPROVEN.keys()
+    if scenario.control.gain == "nominal":
+        unproven -= {"uncertified"}  # that gain is not in force
+    if not unproven:
+        return
     steps = entries_in_force(scenario, fields["delay_steps"])
     status = np.take_along_axis(np.array(of_robots).T, steps, axis=0)
-    for kind, what in _UNPROVEN.items():
-        if kind == "uncertified" and scenario.control.gain == "nominal":
-            continue  # that gain is not in force
+    for kind in sorted(unproven):
+        what = _UNPROVEN[kind]
         for robot, start, stop in stretches(status == kind):
             text = (
                 f"robot {robot}: no certified gain for T = {steps[start, robot]}, {what} in force "
@@ -108,7 +112,9 @@ def entries_in_force(scenario: Scenario, delay_steps: NDArray[np.uint32]) -> NDA
 
 def _saturated_controls(fields: Mapping[str, NDArray[Any]]) -> Iterator[Event]:
     count = fields["control_saturated"]
+    until = np.zeros((len(count) + 1, count.shape[1]), np.int64)
+    np.cumsum(count, axis=0, out=until[1:])
     for robot, start, stop in stretches(count > 0):
-        commands = count[start:stop, robot].sum()
+        commands = until[stop, robot] - until[start, robot]
         text = f"robot {robot}: {commands} saturated commands in {stop - start} slots"
         yield Event(start, "INFO", "control", text)

@@ -7,6 +7,7 @@ import os
 from collections.abc import Mapping
 from dataclasses import asdict
 from functools import lru_cache
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Self
 
@@ -176,7 +177,7 @@ class LogWriter:
         self._slot_ns, self._chunk_bytes, self._flush_slots = slot_ns, chunk_bytes, flush_slots
         self._unflushed = 0
         self._next_slot = 0
-        self._events: list[Event] = []
+        self._events: list[tuple[int, bytes]] = []  # slots and records, in the order of calls
         self._event_bytes = 0
         own = {
             "schema_version": like.metadata["schema_version"] if like else str(SCHEMA_VERSION),
@@ -279,9 +280,9 @@ class LogWriter:
         """Log something that happens now and then: see `Event`."""
         self._check_open()
         _check_range("slot", slot, 0, MAX_SLOT - 1)
-        event = Event(slot, level, name, message)
-        self._event_bytes += len(encode_event(event, self._slot_ns, self._events_id))
-        self._events.append(event)
+        record = encode_event(Event(slot, level, name, message), self._slot_ns, self._events_id)
+        self._event_bytes += len(record)
+        self._events.append((slot, record))
         if self._event_bytes >= self._chunk_bytes:
             self._flush_events()
 
@@ -289,9 +290,9 @@ class LogWriter:
         """Write the events so far as a chunk, by slot, in the order of calls within a slot."""
         if not self._events:
             return
-        events = sorted(self._events, key=lambda event: event.slot)
-        records = [encode_event(event, self._slot_ns, self._events_id) for event in events]
-        times = np.array([event.slot * self._slot_ns for event in events], np.uint64)
+        self._events.sort(key=itemgetter(0))
+        records = [record for _, record in self._events]
+        times = np.array([slot * self._slot_ns for slot, _ in self._events], np.uint64)
         offsets = np.cumsum([0] + [len(record) for record in records[:-1]]).astype(np.uint64)
         self._container.add_chunk(self._events_id, b"".join(records), times, offsets)
         self._events, self._event_bytes = [], 0
