@@ -238,7 +238,10 @@ def against_stock(kind: str, fields: dict[str, Any], rounds: int) -> list[Figure
 
 
 def logging_shares(scenario: Scenario) -> list[Figure]:
-    """What the logs cost an evaluation: schedulers, learned policies (one a world), and all."""
+    """What the logs cost an evaluation: of schedulers, of learners, and of all.
+
+    Times are a slot that ran, under each of a learner's policies; one run a world is logged.
+    """
     evaluation = scenario.evaluate
     seeds = len(evaluation.seeds)
     slots = seeds * round((evaluation.warmup_s + evaluation.duration_s) / scenario.radio.slot_s)
@@ -254,12 +257,14 @@ def logging_shares(scenario: Scenario) -> list[Figure]:
     figures = []
     for group, policies in groups.items():
         whole, logs = (sum(seconds[policy][part] for policy in policies) for part in (0, 1))
+        learners = [scenario.learned.get(policy) for policy in policies]
+        ran = slots * sum(1 if learner is None else len(learner.seeds) for learner in learners)
         figures.append(
             Figure(
                 name=f"logs of an evaluation, {group}, profile {scenario.log.evaluate_profile}",
-                value=1e6 * logs / (len(policies) * slots),
-                unit="us a slot and policy",
-                reference=f"the evaluation, {1e6 * whole / (len(policies) * slots):.1f} us",
+                value=1e6 * logs / ran,
+                unit="us a slot",
+                reference=f"the evaluation, {1e6 * whole / ran:.1f} us",
                 ratio=logs / whole,
                 at_most=SHARES[group],
             )

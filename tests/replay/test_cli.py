@@ -38,7 +38,9 @@ def test_counterfactual_shows_what_differs(
     out = tmp_path / "new/edf.mcap"
     assert main(["replay", str(study / PF), "--policy", "edf", "--out", str(out)]) == 0
     text = capsys.readouterr().out
-    assert "URLLC late packets" in text
+    heading, *rows = text[text.index(" " * 20) :].split("\n/")[0].splitlines()
+    assert any(row.startswith("URLLC late packets ") for row in rows)
+    assert {row.index("  [") for row in rows} == {heading.index("  interval")}, text
     assert "/allocation parts in slot" in text
     with LogReader(out) as log:
         assert log.metadata["policy"] == "edf"

@@ -37,7 +37,7 @@ NO_AXES = (
 NO_GAINS, NO_CELLS = "gain_study: {methods: []}\n", "generalise: {cells: []}\n"
 NO_BOUND = "bound: {slots_per_log: 0}\n"
 NO_LOOP_CELLS = "gain_study: {cells: {near: null, far: null}}\n"
-ALONE = (NO_AXES, NO_GAINS, NO_LOOP_CELLS, NO_CELLS + NO_BOUND)
+ALONE = NO_AXES + NO_GAINS + NO_CELLS + NO_BOUND
 ALWAYS = set("policies comparison runs table1_parameters figX_delay figX_pareto".split())
 ALWAYS |= {"fig8_violations", "second_moments"}
 RATES = {"table3_rate", "fig4_rate_cdf"}
@@ -58,6 +58,7 @@ LOOP_CELLS = {"gain_cells", "figX_gain_cells"}
             GAINS
             | GRID
             | SWEPT_GAINS
+            | LOOP_CELLS
             | {"generalisation", "figX_generalise", "bound"}
             | {"figX_bound"},
         ),
@@ -117,7 +118,7 @@ def test_a_small_study_shows_what_it_has(
     expected: set[str],
 ) -> None:
     """Each is made and laid out, without a warning."""
-    scenario = variant_of_tiny(*ALONE, text)
+    scenario = variant_of_tiny(ALONE, text)
     assert names(scenario) == expected
     study = Study(scenario, measured(scenario))
     with house_style(), warnings.catch_warnings():

@@ -55,17 +55,15 @@ def test_profiles_rerun_what_is_incomplete(project_root: Path, name: str) -> Non
 
 @pytest.mark.nightly
 @pytest.mark.parametrize(
-    ("config", "message"),
+    ("config", "messages"),
     [
-        (
-            "scenarios=[papper]",
-            "error: papper: no such scenario; there are: linear_plant, paper, pendulum",
-        ),
-        ("scenarios=[papper]", "did you mean paper?"),
-        ("scenario=[paper]", "--config scenario: unknown; allowed: scenarios="),
+        ("scenarios=[papper]", ("error: papper: no such scenario", "did you mean paper?")),
+        ("scenario=[paper]", ("--config scenario: unknown; allowed: scenarios=",)),
     ],
 )
-def test_a_wrong_scenario_is_one_message(project_root: Path, config: str, message: str) -> None:
+def test_a_wrong_scenario_is_one_message(
+    project_root: Path, config: str, messages: tuple[str, ...]
+) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "snakemake", "-n", "--config", config],
         cwd=project_root,
@@ -74,6 +72,6 @@ def test_a_wrong_scenario_is_one_message(project_root: Path, config: str, messag
         check=False,
     )
     assert done.returncode != 0
-    assert message in done.stderr
+    assert all(message in done.stderr for message in messages), done.stderr
     assert "Traceback" not in done.stderr
     assert len(done.stderr.splitlines()) < 8

@@ -45,7 +45,7 @@ ES = {
     for name in ("train", "measure", "task_hold", "task_batch")
     for own in ("es_task", "es_blind")
 }
-OF_RUNS = {"bound", "growth"}  # over all runs
+OF_RUNS = {"bound", "growth"}  # over the evaluation, and over the delays of every run
 LEARNED = {*DDPG, *A2C, *FROZEN, *ES, *OF_RUNS}
 SWEEPS = {f"{axis}_classical" for axis in (*AXES, "packets")}
 CLASSICAL = {*SWEEPS, "evaluate_classical", "generalise_classical", "measure_classical", *OF_RUNS}

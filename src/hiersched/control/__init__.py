@@ -101,14 +101,29 @@ __all__ = [
     "switching_report",
 ]
 
-_LATER = ("krasovskii", "razumikhin", "design", "switching", "second_moments")
+_LAZY = {
+    "GainDesign": "design",
+    "GainDesigner": "design",
+    "design_gain": "design",
+    "KrasovskiiSynthesis": "krasovskii",
+    "analyse_krasovskii": "krasovskii",
+    "RazumikhinSynthesis": "razumikhin",
+    "analyse_delay_razumikhin": "razumikhin",
+    "analyse_razumikhin": "razumikhin",
+    "Chain": "second_moments",
+    "chain_of_counts": "second_moments",
+    "count_transitions": "second_moments",
+    "second_moment_growth": "second_moments",
+    "simulate_chain": "second_moments",
+    "Switch": "switching",
+    "SwitchingReport": "switching",
+    "switching_report": "switching",
+}
 
 
 def __getattr__(name: str) -> Any:
     """Load on first use what needs cvxpy, or takes long to import."""
-    for module in _LATER if name in __all__ else ():
+    if name in _LAZY:
         with naming_extras():
-            found = getattr(import_module(f"hiersched.control.{module}"), name, None)
-        if found is not None:
-            return found
+            return getattr(import_module(f"hiersched.control.{_LAZY[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

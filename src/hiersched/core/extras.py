@@ -28,7 +28,7 @@ EXTRA_OF = {
 """Package that is imported -> the extra that brings it."""
 
 
-class MissingExtraError(ImportError):
+class MissingExtraError(ModuleNotFoundError):
     """A package that an extra brings is not installed."""
 
     def __init__(self, package: str) -> None:
@@ -48,6 +48,8 @@ def import_fault(error: Exception) -> str:
     what = f"{type(error).__name__}: {error}"
     if not isinstance(error, ModuleNotFoundError) or not error.name:
         return what
+    if isinstance(error, MissingExtraError):
+        return what  # says it
     package = error.name.partition(".")[0]
     if package in EXTRA_OF:
         return f"{what}: {install_command(package)}"

@@ -84,8 +84,9 @@ def _unproven_gains(
         return
     steps = entries_in_force(scenario, fields["delay_steps"])
     status = np.take_along_axis(np.array(of_robots).T, steps, axis=0)
-    for kind in sorted(unproven):
-        what = _UNPROVEN[kind]
+    for kind, what in _UNPROVEN.items():
+        if kind not in unproven:
+            continue
         for robot, start, stop in stretches(status == kind):
             text = (
                 f"robot {robot}: no certified gain for T = {steps[start, robot]}, {what} in force "

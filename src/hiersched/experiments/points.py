@@ -221,8 +221,8 @@ def experiments(scenario: Scenario) -> dict[str, Experiment]:
             partial(_forced, scenario, "gain_grid", "grid", _grid_points),
             partial(_forced, scenario, "gain_sampling_s", "sampling_s", _sampling_points),
             partial(_forced, scenario, "gain_noise", "noise", _noise_points),
+            partial(_forced, scenario, LOOP_CELLS, "cell", _loop_points),
         ]
-    builders.append(partial(_forced, scenario, LOOP_CELLS, "cell", _loop_points))
     faults: list[str] = []
     found = []
     for build in builders:
