@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from common import Figure, main
+from common import Figure, main, speed_figures
 
 # isort: split
 import gymnasium
@@ -154,7 +154,6 @@ def run(short: bool) -> list[Figure]:
             seen = speed(work)
             if turn:  # the first one compiles, and fills the caches
                 speeds[name].append(seen)
-    medians = {name: statistics.median(seen) for name, seen in speeds.items()}
     rounds = 1 if short else 5
     make_s, import_s = (process_seconds(code, rounds) for code in (MAKE_CODE, "import gymnasium"))
     return [
@@ -166,19 +165,7 @@ def run(short: bool) -> list[Figure]:
             ratio=make_s / import_s,
             at_most=25.0,
         ),
-        Figure(name=SINGLE, value=medians[SINGLE], unit="slots/s"),
-        *(
-            Figure(
-                name=name,
-                value=medians[name],
-                unit="slots/s",
-                reference=reference,
-                ratio=medians[name] / medians[reference],
-                at_least=least,
-            )
-            for name, (reference, least) in COMPARED.items()
-            if name in medians
-        ),
+        *speed_figures(speeds, COMPARED),
     ]
 
 

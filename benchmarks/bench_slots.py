@@ -9,12 +9,11 @@ before this package, did 22 to 26 % of its floor under proportional fair, on ano
 
 from __future__ import annotations
 
-import statistics
 import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from common import Figure, main, paper, some_policy
+from common import Figure, main, paper, some_policy, speed_figures
 
 # isort: split
 import numpy as np
@@ -194,20 +193,7 @@ def run(short: bool) -> list[Figure]:
     for _ in range(3 if short else 9):
         for name, work in works.items():
             speeds[name].append(measure(work))
-    medians = {name: statistics.median(seen) for name, seen in speeds.items()}
-    figures = [Figure(name=FLOOR, value=medians[FLOOR], unit="slots/s")]
-    for name, (reference, least) in COMPARED.items():
-        figures.append(
-            Figure(
-                name=name,
-                value=medians[name],
-                unit="slots/s",
-                reference=reference,
-                ratio=medians[name] / medians[reference],
-                at_least=least,
-            )
-        )
-    return figures
+    return speed_figures(speeds, COMPARED)
 
 
 if __name__ == "__main__":

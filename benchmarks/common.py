@@ -12,7 +12,7 @@ import logging
 import os
 import statistics
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -86,6 +86,33 @@ def table(figures: Sequence[Figure], *, short: bool) -> str:
         disable_numparse=True,
         colalign=("left", "right", "left", "right", "left", "left")[columns],
     )
+
+
+def speed_figures(
+    speeds: Mapping[str, Sequence[float]], compared: Mapping[str, tuple[str, float | None]]
+) -> list[Figure]:
+    """Medians of slots per CPU-second: one without a reference first, then those compared.
+
+    `speeds`: name -> rounds; `compared`: name -> the name of its reference, and the least ratio.
+    """
+    medians = {name: statistics.median(rounds) for name, rounds in speeds.items()}
+    alone = [
+        Figure(name=name, value=median, unit="slots/s")
+        for name, median in medians.items()
+        if name not in compared
+    ]
+    return alone + [
+        Figure(
+            name=name,
+            value=medians[name],
+            unit="slots/s",
+            reference=reference,
+            ratio=medians[name] / medians[reference],
+            at_least=least,
+        )
+        for name, (reference, least) in compared.items()
+        if name in medians
+    ]
 
 
 def cpu_seconds(work: Callable[[], object], rounds: int = 1) -> float:
