@@ -107,7 +107,7 @@ def test_what_a_scenario_has_not_is_not_shown(
         (
             "evaluate: {policies: [pf]}\ngain_study: {methods: [razumikhin], weight: []}\n"
             "sweeps: {policies: [pf], axes: {sampling_s: {vary: {control.sampling_s: [0.05]}}}}\n",
-            ALWAYS | RATES | GAINS | {"sweeps", "fig6_sampling", "claim6"},
+            ALWAYS | RATES | GAINS | LOOP_CELLS | {"sweeps", "fig6_sampling", "claim6"},
         ),
     ],
 )
