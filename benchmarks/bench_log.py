@@ -53,7 +53,7 @@ LEAST = {
     ("read", "none"): 10.0,
 }
 """Least speed of ours, as a multiple of the stock one's."""
-SHARES = {"classical": 0.8, "learned": 0.07, "all policies": 0.12}
+SHARES = {"classical": 0.3, "learned": 0.06, "all policies": 0.09}
 """Most of an evaluation's time that its logs may take."""
 
 

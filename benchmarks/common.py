@@ -2,7 +2,7 @@
 
 Figures are compared with something that is measured in the same run, because machines differ and
 other work slows both alike. A limit is a bound on that ratio: half or twice of what one core of a
-shared two-core machine gave in November 2026. Nothing fails by a limit.
+two-core machine gave in November 2026. Nothing fails by a limit.
 """
 
 from __future__ import annotations
