@@ -96,8 +96,7 @@ def test_what_a_scenario_has_not_is_not_shown(
     assert names(variant_of_tiny(text)) <= names(tiny)
 
 
-@pytest.mark.nightly
-@pytest.mark.parametrize(
+SMALL = pytest.mark.parametrize(
     ("text", "expected"),
     [
         ("evaluate: {policies: [drift_plus_penalty]}\n", ALWAYS),
@@ -111,6 +110,17 @@ def test_what_a_scenario_has_not_is_not_shown(
         ),
     ],
 )
+
+
+@SMALL
+def test_a_small_study_lists_what_it_has(
+    variant_of_tiny: Callable[..., Scenario], text: str, expected: set[str]
+) -> None:
+    assert names(variant_of_tiny(ALONE, text)) == expected
+
+
+@pytest.mark.nightly
+@SMALL
 def test_a_small_study_shows_what_it_has(
     variant_of_tiny: Callable[..., Scenario],
     measured: Callable[[Scenario], Path],
