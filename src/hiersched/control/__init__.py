@@ -12,8 +12,7 @@ it is first asked for.
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from hiersched.control.certificate import (
     Certificate,
@@ -32,7 +31,7 @@ from hiersched.control.lifted import lift, simulate_random_delays, spectral_radi
 from hiersched.control.lqg import FilterModel, Lqg, design_lqg, simulate_lqg, stationary_filter
 from hiersched.control.lqr import dlqr, latency_compensated, tracking_weights
 from hiersched.control.predictor import input_memory_radii, predictor_gains
-from hiersched.core.extras import naming_extras
+from hiersched.core.extras import lazy_names
 
 if TYPE_CHECKING:
     from hiersched.control.design import GainDesign, GainDesigner, design_gain
@@ -101,29 +100,24 @@ __all__ = [
     "switching_report",
 ]
 
-_LAZY = {
-    "GainDesign": "design",
-    "GainDesigner": "design",
-    "design_gain": "design",
-    "KrasovskiiSynthesis": "krasovskii",
-    "analyse_krasovskii": "krasovskii",
-    "RazumikhinSynthesis": "razumikhin",
-    "analyse_delay_razumikhin": "razumikhin",
-    "analyse_razumikhin": "razumikhin",
-    "Chain": "second_moments",
-    "chain_of_counts": "second_moments",
-    "count_transitions": "second_moments",
-    "second_moment_growth": "second_moments",
-    "simulate_chain": "second_moments",
-    "Switch": "switching",
-    "SwitchingReport": "switching",
-    "switching_report": "switching",
-}
-
-
-def __getattr__(name: str) -> Any:
-    """Load on first use what needs cvxpy, or takes long to import."""
-    if name in _LAZY:
-        with naming_extras():
-            return getattr(import_module(f"hiersched.control.{_LAZY[name]}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "GainDesign": "design",
+        "GainDesigner": "design",
+        "design_gain": "design",
+        "KrasovskiiSynthesis": "krasovskii",
+        "analyse_krasovskii": "krasovskii",
+        "RazumikhinSynthesis": "razumikhin",
+        "analyse_delay_razumikhin": "razumikhin",
+        "analyse_razumikhin": "razumikhin",
+        "Chain": "second_moments",
+        "chain_of_counts": "second_moments",
+        "count_transitions": "second_moments",
+        "second_moment_growth": "second_moments",
+        "simulate_chain": "second_moments",
+        "Switch": "switching",
+        "SwitchingReport": "switching",
+        "switching_report": "switching",
+    },
+)

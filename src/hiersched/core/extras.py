@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from importlib import import_module
 from importlib.metadata import packages_distributions
+from typing import Any
 
 from hiersched.core.faults import did_you_mean
 
@@ -71,3 +73,19 @@ def naming_extras() -> Iterator[None]:
         if package not in EXTRA_OF:
             raise
         raise MissingExtraError(package) from error
+
+
+def lazy_names(package: str, modules: Mapping[str, str]) -> Callable[[str], Any]:
+    """Return the ``__getattr__`` of a package, some of whose names are imported on first use.
+
+    `modules`: name -> the module of the package that has it. Where an extra lacks, the error is a
+    MissingExtraError.
+    """
+
+    def load(name: str) -> Any:
+        if name not in modules:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        with naming_extras():
+            return getattr(import_module(f"{package}.{modules[name]}"), name)
+
+    return load

@@ -7,10 +7,9 @@ they are first asked for.
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from hiersched.core.extras import naming_extras
+from hiersched.core.extras import lazy_names
 from hiersched.env.core import SlotLoop, agent_views
 from hiersched.policies.features import FEATURE_VERSION, FEATURES
 from hiersched.policies.policy import action_weights
@@ -33,17 +32,12 @@ __all__ = [
     "agent_views",
 ]
 
-_LAZY = {
-    "SlicingEnv": "single",
-    "SlicingParallelEnv": "parallel",
-    "SlicingVecEnv": "sb3",
-    "SlicingVectorEnv": "vector",
-}
-
-
-def __getattr__(name: str) -> Any:
-    """Load an adapter on first use."""
-    if name in _LAZY:
-        with naming_extras():
-            return getattr(import_module(f"hiersched.env.{_LAZY[name]}"), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "SlicingEnv": "single",
+        "SlicingParallelEnv": "parallel",
+        "SlicingVecEnv": "sb3",
+        "SlicingVectorEnv": "vector",
+    },
+)
